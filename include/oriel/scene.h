@@ -1,0 +1,44 @@
+/* The scene file (formats/SCENE.md) in memory. Read: pointers go into the mapped file, nothing is copied but the light model. Written: the trainer fills the same struct.
+ *
+ * Grid frame: the scene frame (z up) scaled and moved so that one unit is one fine cell and the box is [0, 8 nb_x] x [0, 8 nb_y] x [0, 8 nb_z].
+ *   grid = S * world + o, S = scale * rotation (row-major world_to_grid, 3 x 4).
+ * Bricks: 8^3 cells, 9^3 vertices each (the upper faces repeat the neighbour's vertices), vertex index = x + 9 (y + 9 z). */
+#ifndef ORIEL_SCENE_H
+#define ORIEL_SCENE_H
+#include <stddef.h>
+#include <stdint.h>
+#include "oriel/light.h"
+
+enum { ORL_BRICK = 8, ORL_BRICK_V = 9, ORL_BRICK_VERTS = 729, ORL_LITE_V = 3, ORL_LITE_VERTS = 27, ORL_LITE_BYTES = 17 };
+#define ORL_SDF_UNIT 32         /* sdf int8 is in 1/32 cell, saturating: -4 .. +3.97 cells; positive = free space */
+
+typedef struct {
+    uint32_t nb[3];                 /* bricks along x, y, z; 1..512 each, product <= 2^24 */
+    double world_to_grid[12];       /* row-major 3 x 4 similarity */
+    float cell_world;               /* world units per fine cell */
+    uint32_t nbricks;
+    const int32_t *bmap;            /* [nb_z][nb_y][nb_x]: >= 0 brick index; < 0: empty, -d = Chebyshev distance in bricks to the nearest brick, -127 at most */
+    const int8_t *sdf;              /* [nbricks][729] */
+    const uint8_t *albedo;          /* [nbricks][729][3]: linear albedo = (v / 255)^2 */
+    const uint8_t *lite;            /* [nbricks][27][17]: openness (v / 255), then 16 horizon elevations (v / 255 * pi / 2) at vertices 4 cells apart; NULL: open = 1, horizon = 0 */
+    const int8_t *shadow;           /* [nbricks][27][8]: phi_k = v * shadow_scale[k] at the same vertices; NULL: no shadow branch */
+    float shadow_scale[ORL_SHADOW_DIM];     /* powers of two */
+    orl_light_model light;          /* decoded from int16 with power-of-two scales */
+    uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
+    const float *codes;             /* [ncodes][ORL_CODE] */
+    char title[64];                 /* e.g. the SCENE folder's name */
+    /* owner's side */
+    void *map; size_t map_bytes;    /* mapped file, or NULL when the arrays belong to the writer */
+} orl_scene;
+
+/* Maps and validates the file: parse (sections, checksums, every count against remaining bytes) then validate (ranges, finite numbers, brick indices). */
+orl_err orl_scene_open(const char *path, orl_scene *out);
+/* The same from memory (not owned, 64-byte aligned), for fuzzing. name stands in messages. */
+orl_err orl_scene_parse(const void *bytes, size_t n, const char *name, orl_scene *out);
+void orl_scene_close(orl_scene *s);
+/* Temporary file, fsync, rename. write -> read -> write is byte-identical. */
+orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out);
+/* Section list for `oriel info`. */
+typedef struct { char tag[5]; uint64_t offset, bytes; uint32_t crc; } orl_scene_section;
+orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, int *count);
+#endif

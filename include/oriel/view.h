@@ -1,0 +1,36 @@
+/* A view: the per-pixel store of one pose and lens, made by marching the scene in fixed point, re-lit in integers. */
+#ifndef ORIEL_VIEW_H
+#define ORIEL_VIEW_H
+#include "oriel/camera.h"
+#include "oriel/scene.h"
+
+/* Structure of arrays, rows padded to a multiple of 32 pixels (stride). Owned by the caller's block. */
+typedef struct {
+    int w, h, stride;
+    uint16_t *normal;               /* octahedral palette index, 64 x 64 */
+    uint16_t *albedo[3];            /* linear, Q16 saturating at 65535 = 1.0 */
+    uint8_t *open, *cov;            /* 0..255 */
+    uint8_t *horizon;               /* [pixel][16] */
+    int8_t  *phi;                   /* [pixel][8] */
+    uint8_t *vis;                   /* sun visibility under the current light, 0..255 */
+    uint16_t *depth;                /* Q.4 fine cells along the ray, 65535 = none */
+    float phi_scale[ORL_SHADOW_DIM];
+    orl_camera cam; orl_pose pose;
+    double grid_from_cam[9];        /* rotation camera -> scene frame (z up) */
+    void *sky;                      /* coarse grid of sky directions, private */
+} orl_view;
+
+size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
+/* Marches every pixel; supersample 1 or 2 (2: four rays a pixel, attributes averaged, coverage counted). Bit-identical for any thread count. */
+orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
+/* Dequantised pixel for adaptation (rgb and weight left 0). */
+void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
+
+/* Tables of one light in fixed point (formats in runtime/kernels/shade.h). */
+typedef struct orl_view_light orl_view_light;
+size_t orl_view_light_need(void);
+orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void *block, size_t bytes);
+/* Updates vis when the sun moved, shades rows [y0, y1) into rgb8 (w * 3 bytes a row). flags: orl_cpu_detect() or a subset. */
+void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1);
+void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes);
+#endif
