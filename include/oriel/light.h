@@ -80,6 +80,7 @@ void orl_light_shade(const orl_light *l, const orl_sample *s, float rgb[3]);
 /* Also J[c][k] = d rgb[c] / d code[k]; sky decoder terms by the tables below. scratch: orl_light_jac_decode's output for this light. */
 typedef struct {
     float desky[ORL_ENV_DIM][ORL_OCT * ORL_OCT][3];  /* d esky / d z_k */
+    float dground[ORL_ENV_DIM][3];                  /* d eground / d z_k */
     const orl_light_model *model;
 } orl_light_jac;
 void orl_light_jac_decode(const orl_light_model *m, const orl_light *l, orl_light_jac *out);

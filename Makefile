@@ -1,0 +1,83 @@
+# Oriel
+#   make              build/host/oriel, build/host/oriel-train
+#   make demo         procedural attraction -> fit -> widened photo beside the truth (build/demo)
+#   make test         everything that CI runs; `make test SAN=1` under ASan and UBSan
+#   make bench        run time against error, kernels against memcpy
+#   make deps         Debian packages by name (nothing when all are there)
+#   make BOARD=rpi4   the runtime for aarch64 (boards/*.mk); also rpi5
+#   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native
+BOARD ?= host
+TRAIN_ARCH ?= -march=native
+B := build/$(BOARD)$(if $(SAN),-san)
+all:
+ifneq ($(BOARD),host)
+include boards/$(BOARD).mk
+else
+ARCH := $(shell uname -m)
+endif
+ifeq ($(origin CXX),default)
+CXX := $(if $(findstring clang,$(CC)),clang++,g++)
+endif
+PKG ?= pkg-config
+have = $(shell $(PKG) --exists $(1) 2>/dev/null && echo 1)
+OPT_JPEG := $(call have,libjpeg)
+OPT_PNG := $(call have,libpng)
+OPT_EXR := $(call have,OpenEXR)
+LIBS := $(if $(OPT_JPEG),$(shell $(PKG) --libs libjpeg)) $(if $(OPT_PNG),$(shell $(PKG) --libs --static libpng)) $(if $(OPT_EXR),-lOpenEXRCore) -lpthread -lm
+DEFS := $(if $(OPT_JPEG),-DORL_HAVE_JPEG) $(if $(OPT_PNG),-DORL_HAVE_PNG) $(if $(OPT_EXR),-DORL_HAVE_EXR $(shell $(PKG) --cflags OpenEXR))
+FLAGS := -g -O3 -Wall -Wextra -D_GNU_SOURCE -Iinclude -I. -MMD -MP $(CPU) $(DEFS) $(if $(SAN),-fsanitize=address$(,)undefined -fno-omit-frame-pointer -fno-sanitize-recover=undefined)
+LINK := $(if $(SAN),-fsanitize=address$(,)undefined) $(LDFLAGS)
+, := ,
+
+KERNELS := $(wildcard runtime/kernels/*.c)
+NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c)
+LIB := $(wildcard formats/*.c) $(filter-out runtime/main.c runtime/cmd_%.c,$(wildcard runtime/*.c)) $(filter-out $(NOT),$(KERNELS))
+APP := $(wildcard runtime/main.c runtime/cmd_*.c)
+TRAIN := $(filter-out trainer/main.c,$(wildcard trainer/*.c)) $(wildcard trainer/*.cpp)
+TESTS := $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/test_*.c))
+TOOLS := $(patsubst tests/tools/%.c,$B/tools/%,$(wildcard tests/tools/*.c)) $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/bench_*.c))
+obj = $(patsubst %,$B/obj/%.o,$(basename $(1)))
+
+all: $(if $(APP),$B/oriel) $(if $(filter host,$(BOARD)),$B/oriel-train)
+$B/liboriel.a: $(call obj,$(LIB))
+$B/libtrainer.a: $(call obj,$(TRAIN))
+$B/%.a:
+	@rm -f $@
+	ar rcs $@ $^
+$B/oriel: $(call obj,$(APP)) $B/liboriel.a
+	$(CC) $(LINK) -o $@ $^ $(LIBS)
+$B/oriel-train: $B/obj/trainer/main.o $B/libtrainer.a $B/liboriel.a
+	$(CXX) $(LINK) -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(LIBS)
+$B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
+	@mkdir -p $(@D)
+	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS)
+$B/tools/%: $B/obj/tests/tools/%.o $B/liboriel.a
+	@mkdir -p $(@D)
+	$(CC) $(LINK) -o $@ $^ $(LIBS)
+$B/obj/%.o: %.c
+	@mkdir -p $(@D)
+	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<
+$B/obj/%.o: %.cpp
+	@mkdir -p $(@D)
+	$(CXX) -std=c++17 $(FLAGS) $(ISA) -c -o $@ $<
+$B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
+$B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
+$(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
+$(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -march=armv8.2-a+dotprod
+
+tests: all $(TESTS) $(TOOLS)
+deps:
+	@tests/deps.sh
+test: deps
+	@$(MAKE) --no-print-directory tests
+	@tests/run.sh $B
+demo: deps
+	@$(MAKE) --no-print-directory all $B/tools/attraction
+	@tests/demo.sh $B
+bench: tests
+	@tests/bench.sh $B
+clean:
+	rm -rf build
+.PHONY: all tests deps test demo bench clean
+.SECONDARY:
+-include $(shell find $B/obj -name '*.d' 2>/dev/null)

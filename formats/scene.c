@@ -1,0 +1,414 @@
+/* The scene file: SCENE.md in code (numbers in brackets cite it).
+ *
+ * Reading maps the file and points into it: parse() establishes that header, table and section sizes agree with the bytes that are there, validate() that what they hold is in range.
+ * Only the light model is decoded into the struct. Writing lays the file out in memory, reads it back through the same two steps, and replaces the target atomically.
+ * A file that another process shortens while it is mapped is not guarded against. */
+#include "oriel/scene.h"
+#include <fcntl.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#include "oriel/image.h"
+
+#if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "the scene is used in place: little-endian machines only"
+#endif
+
+enum { HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
+enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
+
+typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
+typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.7] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t reserved[8]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.8] */
+typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.9] */
+_Static_assert(sizeof(head_bytes) == 152 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
+
+typedef struct { const uint8_t *at; uint64_t bytes; } span;
+typedef struct { orl_scene_section list[MAX_SECTIONS]; int count; span known[TAGS]; } layout;
+
+static uint64_t align64(uint64_t x) { return (x + 63) & ~(uint64_t)63; }
+static uint32_t get32(const uint8_t *p) { uint32_t v; memcpy(&v, p, 4); return v; }
+static uint64_t get64(const uint8_t *p) { uint64_t v; memcpy(&v, p, 8); return v; }
+static int all_zero(const uint8_t *p, uint64_t n) { for (uint64_t i = 0; i < n; i++) if (p[i]) return 0; return 1; }
+static int within(float v, float limit) { return v >= -limit && v <= limit; }      /* false for NaN */
+
+/* [1.5], eight bytes a step; tables are small enough to make anew. */
+static uint32_t crc32_of(const uint8_t *p, uint64_t n, uint32_t crc)
+{
+    uint32_t t[8][256];
+    for (uint32_t i = 0; i < 256; i++) {
+        uint32_t c = i;
+        for (int k = 0; k < 8; k++) c = c & 1 ? c >> 1 ^ 0xEDB88320u : c >> 1;
+        t[0][i] = c;
+    }
+    for (int k = 1; k < 8; k++) for (int i = 0; i < 256; i++) t[k][i] = t[k - 1][i] >> 8 ^ t[0][t[k - 1][i] & 255];
+    crc = ~crc;
+    for (; n >= 8; n -= 8, p += 8) {
+        uint32_t a = get32(p) ^ crc, b = get32(p + 4);
+        crc = t[7][a & 255] ^ t[6][a >> 8 & 255] ^ t[5][a >> 16 & 255] ^ t[4][a >> 24] ^ t[3][b & 255] ^ t[2][b >> 8 & 255] ^ t[1][b >> 16 & 255] ^ t[0][b >> 24];
+    }
+    for (; n; n--) crc = crc >> 8 ^ t[0][(crc ^ *p++) & 255];
+    return ~crc;
+}
+
+static uint32_t header_crc(const uint8_t *b, uint32_t n)
+{
+    static const uint8_t zero[4];
+    return crc32_of(b + 28, HEADER - 28 + (uint64_t)n * ENTRY, crc32_of(zero, 4, crc32_of(b, 24, 0)));
+}
+
+/* ---- parse: header, table, sizes [2, 3] */
+
+static orl_err parse_table(const uint8_t *b, size_t n, const char *name, layout *out)
+{
+    if (n < HEADER) return orl_fail(ORL_E_FORMAT, "%s: %zu bytes, shorter than the header", name, n);
+    if (memcmp(b, magic, 8)) return orl_fail(ORL_E_FORMAT, "%s: offset 0: not a scene file", name);
+    uint32_t version = get32(b + 8), count = get32(b + 12);
+    if (version != VERSION) return orl_fail(ORL_E_UNSUPPORTED, "%s: offset 8: version %u, this build reads %d", name, version, VERSION);
+    if (count < 1 || count > MAX_SECTIONS) return orl_fail(ORL_E_RANGE, "%s: offset 12: %u sections", name, count);
+    if (count > (n - HEADER) / ENTRY) return orl_fail(ORL_E_FORMAT, "%s: offset 12: table of %u sections exceeds the file", name, count);
+    if (get64(b + 16) != n) return orl_fail(ORL_E_FORMAT, "%s: offset 16: size %llu, the file has %zu bytes", name, (unsigned long long)get64(b + 16), n);
+    if (get32(b + 24) != header_crc(b, count)) return orl_fail(ORL_E_FORMAT, "%s: offset 24: header checksum differs", name);
+    if (!all_zero(b + 28, 4)) return orl_fail(ORL_E_FORMAT, "%s: offset 28: reserved bytes are not 0", name);
+    layout l = { .count = (int)count };
+    uint64_t total = HEADER + (uint64_t)count * ENTRY;
+    int last = -1;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint8_t *e = b + HEADER + i * ENTRY;
+        orl_scene_section *s = &l.list[i];
+        for (int k = 0; k < 4; k++) {
+            s->tag[k] = (char)e[k];
+            if (!((e[k] >= 'A' && e[k] <= 'Z') || (e[k] >= 'a' && e[k] <= 'z') || (e[k] >= '0' && e[k] <= '9'))) return orl_fail(ORL_E_FORMAT, "%s: section %u: tag is not text", name, i);
+        }
+        s->crc = get32(e + 4);
+        s->offset = get64(e + 8);
+        s->bytes = get64(e + 16);
+        if (!all_zero(e + 24, 8)) return orl_fail(ORL_E_FORMAT, "%s: section %s: reserved bytes are not 0", name, s->tag);
+        uint64_t start = align64(total);
+        if (s->offset != start) return orl_fail(ORL_E_FORMAT, "%s: section %s: offset %llu, expected %llu", name, s->tag, (unsigned long long)s->offset, (unsigned long long)start);
+        if (start > n || s->bytes > n - start) return orl_fail(ORL_E_FORMAT, "%s: section %s: %llu bytes exceed the file", name, s->tag, (unsigned long long)s->bytes);
+        if (!all_zero(b + total, start - total)) return orl_fail(ORL_E_FORMAT, "%s: section %s: padding before it is not 0", name, s->tag);
+        total = start + s->bytes;
+        int t = 0;
+        while (t < TAGS && memcmp(s->tag, tags[t], 4)) t++;
+        if (t == TAGS) {
+            if (s->tag[0] >= 'a') continue;                                                     /* [3.4] */
+            return orl_fail(ORL_E_UNSUPPORTED, "%s: section %s is unknown", name, s->tag);
+        }
+        if (t <= last) return orl_fail(ORL_E_FORMAT, "%s: section %s is out of order or doubled", name, s->tag);
+        last = t;
+        l.known[t] = (span){ b + start, s->bytes };
+    }
+    uint64_t end = align64(total);
+    if (end != n) return orl_fail(ORL_E_FORMAT, "%s: sections end at %llu, the file has %zu bytes", name, (unsigned long long)end, n);
+    if (!all_zero(b + total, end - total)) return orl_fail(ORL_E_FORMAT, "%s: padding after the last section is not 0", name);
+    *out = l;
+    return ORL_OK;
+}
+
+static orl_err need(const layout *l, int t, int required, uint64_t bytes, const char *name)
+{
+    if (!l->known[t].at) return required ? orl_fail(ORL_E_FORMAT, "%s: section %s is missing", name, tags[t]) : ORL_OK;
+    if (l->known[t].bytes != bytes)
+        return orl_fail(ORL_E_FORMAT, "%s: section %s: %llu bytes, expected %llu", name, tags[t], (unsigned long long)l->known[t].bytes, (unsigned long long)bytes);
+    return ORL_OK;
+}
+
+/* Sizes of all sections from HEAD's counts, pointers into the file [4]. */
+static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, orl_scene *s)
+{
+    orl_err e = parse_table(b, n, name, l);
+    if (e) return e;
+    for (int i = 0; i < l->count; i++)
+        if (crc32_of(b + l->list[i].offset, l->list[i].bytes, 0) != l->list[i].crc) return orl_fail(ORL_E_FORMAT, "%s: section %s: checksum differs", name, l->list[i].tag);
+    int scene = l->known[HEAD].at != NULL;
+    uint64_t places = 0, bricks = 0;
+    if (scene) {
+        if ((e = need(l, HEAD, 1, sizeof(head_bytes), name))) return e;
+        const head_bytes *h = (const head_bytes *)l->known[HEAD].at;
+        for (int a = 0; a < 3; a++) if (h->nb[a] < 1 || h->nb[a] > 512) return orl_fail(ORL_E_RANGE, "%s: section HEAD: nb[%d] = %u", name, a, h->nb[a]);
+        places = (uint64_t)h->nb[0] * h->nb[1] * h->nb[2];                                      /* at most 2^27 */
+        if (places > 1u << 24) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %llu brick places", name, (unsigned long long)places);
+        bricks = h->nbricks;
+        if (bricks > places) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %u bricks in %llu places", name, h->nbricks, (unsigned long long)places);
+    }
+    /* bricks is at most 2^24: no product below leaves 64 bits */
+    const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [ALBD] = bricks * ORL_BRICK_VERTS * 3,
+        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
+        [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
+    for (int t = 0; t < TAGS; t++) {
+        if (t == CODE) continue;
+        if (!scene && t <= SHAD && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
+        int required = t <= ALBD ? scene : t != LITE && t != SHAD;
+        if ((e = need(l, t, required, want[t], name))) return e;
+    }
+    span code = l->known[CODE];
+    uint64_t one = ORL_CODE * sizeof(float);
+    if (code.at && (code.bytes % one || code.bytes == 0 || code.bytes / one > MAX_CODES))
+        return orl_fail(ORL_E_FORMAT, "%s: section CODE: %llu bytes", name, (unsigned long long)code.bytes);
+    if (scene) {
+        const head_bytes *h = (const head_bytes *)l->known[HEAD].at;
+        memcpy(s->nb, h->nb, sizeof s->nb);
+        s->nbricks = h->nbricks;
+        memcpy(s->world_to_grid, h->world_to_grid, sizeof s->world_to_grid);
+        s->cell_world = h->cell_world;
+        memcpy(s->shadow_scale, h->shadow_scale, sizeof s->shadow_scale);
+        s->bmap = (const int32_t *)l->known[BMAP].at;
+        s->sdf = (const int8_t *)l->known[SDF8].at;
+        s->albedo = l->known[ALBD].at;
+        s->lite = l->known[LITE].at;
+        s->shadow = (const int8_t *)l->known[SHAD].at;
+    }
+    s->codes = (const float *)code.at;
+    s->ncodes = (uint32_t)(code.bytes / one);
+    memcpy(s->title, l->known[META].at, sizeof s->title);
+    return ORL_OK;
+}
+
+/* ---- validate: ranges and finite numbers */
+
+static orl_err validate_head(const layout *l, const orl_scene *s, const char *name)
+{
+    const head_bytes *h = (const head_bytes *)l->known[HEAD].at;
+    if (!all_zero(h->reserved, sizeof h->reserved)) return orl_fail(ORL_E_FORMAT, "%s: section HEAD: reserved bytes are not 0", name);
+    const double *m = s->world_to_grid;
+    for (int i = 0; i < 12; i++) if (!(m[i] > -1e9 && m[i] < 1e9)) return orl_fail(ORL_E_RANGE, "%s: section HEAD: world_to_grid[%d] is not finite or absurd", name, i);
+    double g[6], det = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
+    for (int i = 0, k = 0; i < 3; i++) for (int j = i; j < 3; j++) g[k++] = m[4 * i] * m[4 * j] + m[4 * i + 1] * m[4 * j + 1] + m[4 * i + 2] * m[4 * j + 2];
+    double tol = 4e-6 * g[0];
+#define OFF(x) (!((x) <= tol && (x) >= -tol))
+    if (!(g[0] > 1e-18) || !(det > 0) || OFF(g[1]) || OFF(g[2]) || OFF(g[4]) || OFF(g[3] - g[0]) || OFF(g[5] - g[0]))
+        return orl_fail(ORL_E_RANGE, "%s: section HEAD: world_to_grid is not a similarity", name);
+#undef OFF
+    double unit = (double)s->cell_world * s->cell_world * g[0];
+    if (!(s->cell_world > 0) || !(unit > 0.998 && unit < 1.002)) return orl_fail(ORL_E_RANGE, "%s: section HEAD: cell_world %g does not fit world_to_grid", name, (double)s->cell_world);
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) {
+        uint32_t bits;
+        memcpy(&bits, &s->shadow_scale[k], 4);
+        int e = (int)(bits >> 23) - 127;
+        if (s->shadow ? (bits & 0x7fffff) || e < EXP_MIN || e > EXP_MAX : bits != 0) return orl_fail(ORL_E_RANGE, "%s: section HEAD: shadow_scale[%d] = %g", name, k, (double)s->shadow_scale[k]);
+    }
+    uint64_t places = (uint64_t)s->nb[0] * s->nb[1] * s->nb[2];
+    for (uint64_t i = 0; i < places; i++)
+        if (s->bmap[i] >= (int64_t)s->nbricks || s->bmap[i] < -127) return orl_fail(ORL_E_RANGE, "%s: section BMAP: entry %llu = %d", name, (unsigned long long)i, s->bmap[i]);
+    return ORL_OK;
+}
+
+/* 2^e for e in EXP_MIN .. EXP_MAX */
+static float exp2i(int e) { uint32_t bits = (uint32_t)(e + 127) << 23; float f; memcpy(&f, &bits, 4); return f; }
+
+static orl_err decode(const int16_t *q, int n, int e, float *out, const char *section, const char *name)
+{
+    if (e < EXP_MIN || e > EXP_MAX) return orl_fail(ORL_E_RANGE, "%s: section %s: exponent %d", name, section, e);
+    float scale = exp2i(e);
+    for (int i = 0; i < n; i++) out[i] = (float)q[i] * scale;
+    return ORL_OK;
+}
+
+static orl_err validate_light(const layout *l, orl_light_model *m, const char *name)
+{
+    const skyd_bytes *d = (const skyd_bytes *)l->known[SKYD].at;
+    const skyg_bytes *g = (const skyg_bytes *)l->known[SKYG].at;
+    const prio_bytes *p = (const prio_bytes *)l->known[PRIO].at;
+    orl_err e = ORL_OK;
+    if (!all_zero(d->reserved, sizeof d->reserved)) return orl_fail(ORL_E_FORMAT, "%s: section SKYD: reserved bytes are not 0", name);
+    if (!all_zero(g->reserved, sizeof g->reserved)) return orl_fail(ORL_E_FORMAT, "%s: section SKYG: reserved bytes are not 0", name);
+    if ((e = decode(d->mean[0], 3 * ORL_ENV, d->mean_exp, m->env_mean[0], "SKYD", name))) return e;
+    for (int k = 0; k < ORL_ENV_DIM; k++) if ((e = decode(d->basis[k][0], 3 * ORL_ENV, d->basis_exp[k], m->env_basis[k][0], "SKYD", name))) return e;
+    for (int c = 0; c < 3; c++) m->ground[c] = (float)d->ground[c] / 65536;
+    for (int j = 0; j < ORL_SKY_Q; j++) if ((e = decode(g->gen[j][0], 3 * ORL_SKY_Y, g->exp[j], m->sky_gen[j][0], "SKYG", name))) return e;
+    for (int i = 0, k = 0; i < ORL_CODE; i++) {
+        if (!within(p->mean[i], 1e12f)) return orl_fail(ORL_E_RANGE, "%s: section PRIO: mean[%d]", name, i);
+        m->prior_mean[i] = p->mean[i];
+        for (int j = 0; j <= i; j++, k++) {
+            if (!within(p->prec[k], 1e12f) || (i == j && p->prec[k] < 0)) return orl_fail(ORL_E_RANGE, "%s: section PRIO: precision[%d][%d]", name, i, j);
+            m->prior_prec[i][j] = m->prior_prec[j][i] = p->prec[k];
+        }
+    }
+    return ORL_OK;
+}
+
+static orl_err validate(const layout *l, orl_scene *s, const char *name)
+{
+    orl_err e = s->bmap ? validate_head(l, s, name) : ORL_OK;
+    if (!e) e = validate_light(l, &s->light, name);
+    for (uint32_t i = 0; !e && i < s->ncodes * ORL_CODE; i++) if (!within(s->codes[i], 1e6f)) e = orl_fail(ORL_E_RANGE, "%s: section CODE: code %u entry %u", name, i / ORL_CODE, i % ORL_CODE);
+    size_t end = strnlen(s->title, sizeof s->title);
+    int bad = end == sizeof s->title || !all_zero((const uint8_t *)s->title + end, sizeof s->title - end);
+    for (size_t i = 0; i < end; i++) bad |= (uint8_t)s->title[i] < 32 || s->title[i] == 127;
+    return e ? e : bad ? orl_fail(ORL_E_FORMAT, "%s: section META: title", name) : ORL_OK;
+}
+
+orl_err orl_scene_parse(const void *bytes, size_t n, const char *name, orl_scene *out)
+{
+    if ((uintptr_t)bytes & 63) return orl_fail(ORL_E_RANGE, "%s: memory is not aligned to 64 bytes", name);
+    layout l;
+    orl_scene s = { 0 };
+    orl_err e = parse(bytes, n, name, &l, &s);
+    if (!e) e = validate(&l, &s, name);
+    if (!e) *out = s;
+    return e;
+}
+
+/* ---- files */
+
+static orl_err map_file(const char *path, void **map, size_t *n)
+{
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    struct stat st;
+    orl_err e = ORL_OK;
+    if (fd < 0) return orl_fail(ORL_E_IO, "%s: %m", path);
+    if (fstat(fd, &st)) e = orl_fail(ORL_E_IO, "%s: %m", path);
+    else if (!S_ISREG(st.st_mode)) e = orl_fail(ORL_E_IO, "%s: not a regular file", path);
+    else if (st.st_size < HEADER || (uint64_t)st.st_size > SIZE_MAX) e = orl_fail(ORL_E_FORMAT, "%s: %lld bytes, not a scene file", path, (long long)st.st_size);
+    else {
+        void *p = mmap(NULL, (size_t)st.st_size, PROT_READ, MAP_PRIVATE, fd, 0);
+        if (p == MAP_FAILED) e = orl_fail(ORL_E_IO, "%s: mapping failed: %m", path);
+        else { *map = p; *n = (size_t)st.st_size; }
+    }
+    close(fd);
+    return e;
+}
+
+orl_err orl_scene_open(const char *path, orl_scene *out)
+{
+    void *map;
+    size_t n;
+    orl_err e = map_file(path, &map, &n);
+    if (e) return e;
+    orl_scene s;
+    if ((e = orl_scene_parse(map, n, path, &s))) { munmap(map, n); return e; }
+    s.map = map;
+    s.map_bytes = n;
+    *out = s;
+    return ORL_OK;
+}
+
+void orl_scene_close(orl_scene *s)
+{
+    if (s->map) munmap(s->map, s->map_bytes);
+    memset(s, 0, sizeof *s);
+}
+
+orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, int *count)
+{
+    void *map;
+    size_t n;
+    orl_err e = map_file(path, &map, &n);
+    if (e) return e;
+    layout l;
+    if (!(e = parse_table(map, n, path, &l))) {
+        if (l.count > cap) e = orl_fail(ORL_E_MEMORY, "%s: %d sections, room for %d", path, l.count, cap);
+        else {
+            memcpy(out, l.list, (size_t)l.count * sizeof *out);
+            *count = l.count;
+        }
+    }
+    munmap(map, n);
+    return e;
+}
+
+/* ---- write */
+
+/* Smallest exponent at which v fits int16 [4.8.1]. */
+static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, const char *field, const char *path)
+{
+    float top = 0;
+    for (int i = 0; i < n; i++) {
+        float a = v[i] < 0 ? -v[i] : v[i];
+        if (!(a <= 32767 * exp2i(EXP_MAX))) return orl_fail(ORL_E_RANGE, "%s: %s[%d] is not finite or absurd", path, field, i);
+        if (a > top) top = a;
+    }
+    int e = EXP_MIN;
+    while (top > 32767 * exp2i(e)) e++;
+    float inv = exp2i(-e);
+    for (int i = 0; i < n; i++) q[i] = (int16_t)(v[i] < 0 ? -(int)(0.5f - v[i] * inv) : (int)(v[i] * inv + 0.5f));
+    *exponent = e;
+    return ORL_OK;
+}
+
+static orl_err encode_light(const orl_light_model *m, skyd_bytes *d, skyg_bytes *g, prio_bytes *p, const char *path)
+{
+    orl_err e = encode(m->env_mean[0], 3 * ORL_ENV, d->mean[0], &d->mean_exp, "env_mean", path);
+    for (int k = 0; !e && k < ORL_ENV_DIM; k++) e = encode(m->env_basis[k][0], 3 * ORL_ENV, d->basis[k][0], &d->basis_exp[k], "env_basis", path);
+    for (int j = 0; !e && j < ORL_SKY_Q; j++) e = encode(m->sky_gen[j][0], 3 * ORL_SKY_Y, g->gen[j][0], &g->exp[j], "sky_gen", path);
+    for (int c = 0; c < 3; c++) {
+        float v = m->ground[c] * 65536 + 0.5f;
+        d->ground[c] = (uint16_t)(v >= 65535 ? 65535 : v > 0 ? v : 0);
+    }
+    memcpy(p->mean, m->prior_mean, sizeof p->mean);
+    for (int i = 0, k = 0; i < ORL_CODE; i++) for (int j = 0; j <= i; j++) p->prec[k++] = m->prior_prec[i][j];
+    return e;
+}
+
+orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
+{
+    static const head_bytes head_zero;
+    head_bytes head = head_zero;
+    skyd_bytes skyd = { 0 };
+    skyg_bytes skyg = { 0 };
+    prio_bytes prio;
+    orl_err e = encode_light(&s->light, &skyd, &skyg, &prio, path);
+    if (e) return e;
+    const void *data[TAGS] = { [SKYD] = &skyd, [SKYG] = &skyg, [PRIO] = &prio, [CODE] = s->ncodes ? s->codes : NULL };
+    uint64_t bytes[TAGS] = { [SKYD] = sizeof skyd, [SKYG] = sizeof skyg, [PRIO] = sizeof prio, [CODE] = (uint64_t)s->ncodes * ORL_CODE * sizeof(float), [META] = sizeof s->title };
+    char title[sizeof s->title] = { 0 };
+    memcpy(title, s->title, strnlen(s->title, sizeof title - 1));
+    data[META] = title;
+    if (s->bmap) {
+        uint64_t places = 1, n = s->nbricks;
+        for (int a = 0; a < 3; a++) {
+            if (s->nb[a] < 1 || s->nb[a] > 512) return orl_fail(ORL_E_RANGE, "%s: nb[%d] = %u", path, a, s->nb[a]);
+            places *= s->nb[a];
+        }
+        if (n > places) return orl_fail(ORL_E_RANGE, "%s: %u bricks in %llu places", path, s->nbricks, (unsigned long long)places);
+        memcpy(head.nb, s->nb, sizeof head.nb);
+        head.nbricks = s->nbricks;
+        memcpy(head.world_to_grid, s->world_to_grid, sizeof head.world_to_grid);
+        head.cell_world = s->cell_world;
+        if (s->shadow) memcpy(head.shadow_scale, s->shadow_scale, sizeof head.shadow_scale);
+        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM };
+        for (int t = HEAD; t <= SHAD; t++) { data[t] = d[t]; bytes[t] = b[t]; }
+    }
+    uint32_t count = 0;
+    for (int t = 0; t < TAGS; t++) count += data[t] != NULL;
+    uint64_t total = align64(HEADER + (uint64_t)count * ENTRY);
+    for (int t = 0; t < TAGS; t++) if (data[t]) total = align64(total + bytes[t]);
+    uint8_t *file = total <= SIZE_MAX ? aligned_alloc(64, (size_t)total) : NULL;
+    if (!file) return orl_fail(ORL_E_MEMORY, "%s: no memory for %llu bytes", path, (unsigned long long)total);
+    memset(file, 0, HEADER + (size_t)count * ENTRY);
+    memcpy(file, magic, 8);
+    uint32_t version = VERSION;
+    memcpy(file + 8, &version, 4);
+    memcpy(file + 12, &count, 4);
+    memcpy(file + 16, &total, 8);
+    uint64_t at = HEADER + (uint64_t)count * ENTRY;
+    uint8_t *entry = file + HEADER;
+    for (int t = 0; t < TAGS; t++) {
+        if (!data[t]) continue;
+        uint64_t start = align64(at);
+        memset(file + at, 0, (size_t)(start - at));
+        if (bytes[t]) memcpy(file + start, data[t], (size_t)bytes[t]);
+        uint32_t crc = crc32_of(file + start, bytes[t], 0);
+        memcpy(entry, tags[t], 4);
+        memcpy(entry + 4, &crc, 4);
+        memcpy(entry + 8, &start, 8);
+        memcpy(entry + 16, &bytes[t], 8);
+        entry += ENTRY;
+        at = start + bytes[t];
+    }
+    memset(file + at, 0, (size_t)(total - at));
+    uint32_t crc = header_crc(file, count);
+    memcpy(file + 24, &crc, 4);
+    orl_scene check;
+    e = orl_scene_parse(file, (size_t)total, path, &check);         /* never leave a file behind that cannot be read */
+    if (!e) e = orl_file_write(path, file, (size_t)total);
+    free(file);
+    if (!e && bytes_out) *bytes_out = (size_t)total;
+    return e;
+}

@@ -1,0 +1,280 @@
+/* Adaptation of the codes to one photo: Levenberg-Marquardt on the 37 x 37 normal equations, Geman-McClure weights whose scale shrinks as it goes (wide at first, so that a wrong
+ * start can still see the right answer), a Gaussian prior. Cold: every sun direction gets a few steps on a subsample, the best two are polished on all samples.
+ * Neighbouring pixels share their errors, so a photo counts as at most INDEPENDENT samples against the prior, however many are given. */
+#include "oriel/adapt.h"
+#include <math.h>
+#include <string.h>
+#include "oriel/math.h"
+
+enum { N = ORL_CODE, LANES = 8, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400 };
+typedef float lanes __attribute__((vector_size(4 * LANES)));
+#define PI 3.14159265f
+#define TAU_COARSE 1.0f     /* scale of the robust weights on the residual's RGB norm: first and last of the coarse stage, */
+#define TAU_MIDDLE 0.4f
+#define TAU_SIGMAS 3.46f    /* and the final one in sigmas: two a channel */
+
+/* Normal equations at a code: H = J^T W J + prior (upper triangle by rows), gradient, cost. */
+typedef struct {
+    lanes h[N][BLOCKS];
+    float g[N];
+    double cost, cost_before;       /* at the scale of the next step, and at the scale of the last */
+    double weight, kept, square;    /* sums: of weights, of robust weights, of robustly weighted squares */
+} normal;
+
+typedef struct {
+    orl_light light;
+    orl_light_jac jac;
+    normal eq[2];
+    double l[N][N];
+    const orl_light_model *m;
+    const orl_sample *s;
+    size_t n;
+    float prior_weight, sigma;
+    uint8_t fixed[N];
+} state;
+
+orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 0 }; }
+size_t orl_adapt_need(void) { return (sizeof(state) + 63) & ~(size_t)63; }
+
+static float clampf(float x, float lo, float hi) { return x > lo ? x < hi ? x : hi : lo; }
+static float wrap(float a) { a -= 2 * PI * (float)(int)(a * (1 / (2 * PI))); return a > PI ? a - 2 * PI : a < -PI ? a + 2 * PI : a; }
+
+/* All numbers finite: infinities and NaN survive a multiplication by zero. */
+static int usable(const orl_sample *s)
+{
+    if (!(s->weight > 0)) return 0;
+    const float *f = (const float *)s;
+    float zero = 0;
+    for (size_t k = 0; k < sizeof *s / sizeof *f; k++) zero += f[k] * 0;
+    return zero == 0;
+}
+
+static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
+{
+    memset(q, 0, sizeof *q);
+    orl_light_decode(w->m, code, &w->light);
+    orl_light_jac_decode(w->m, &w->light, &w->jac);
+    float t2 = tau * tau, b2 = tau_before * tau_before;
+    double rho = 0, rho_before = 0;
+    for (size_t i = 0; i < w->n; i += stride) {
+        const orl_sample *s = &w->s[i];
+        if (!usable(s)) continue;
+        float rgb[3], J[3][N], r[3], e2 = 0;
+        orl_light_shade_jac(&w->light, &w->jac, s, rgb, J);
+        lanes j[3][BLOCKS] = { { { 0 } } };
+        for (int c = 0; c < 3; c++) {
+            r[c] = rgb[c] - s->rgb[c];
+            if (r[c] > 0 && s->rgb[c] >= 250.0f / 255) { r[c] = 0; continue; }  /* saturated: any brighter model fits, and the row stays zero */
+            memcpy(j[c], J[c], sizeof J[c]);
+            e2 += r[c] * r[c];
+        }
+        float share = t2 / (e2 + t2), a = s->weight * share * share;
+        rho += s->weight * e2 * share;
+        rho_before += s->weight * e2 * (b2 / (e2 + b2));
+        q->weight += s->weight;
+        q->kept += a;
+        q->square += a * e2;
+        const float *j0 = (const float *)j[0], *j1 = (const float *)j[1], *j2 = (const float *)j[2];
+        for (int k = 0; k < N; k++) {                                           /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
+            if (j0[k] == 0 && j1[k] == 0 && j2[k] == 0) continue;
+            float a0 = a * j0[k], a1 = a * j1[k], a2 = a * j2[k];
+            q->g[k] += a0 * r[0] + a1 * r[1] + a2 * r[2];
+            for (int b = k / LANES; b < BLOCKS; b++) q->h[k][b] += a0 * j[0][b] + a1 * j[1][b] + a2 * j[2][b];
+        }
+    }
+    float scale = (q->weight > INDEPENDENT ? INDEPENDENT / (float)q->weight : 1) / (w->sigma * w->sigma);
+    float d[N];
+    double prior = 0;
+    for (int k = 0; k < N; k++) d[k] = code[k] - w->m->prior_mean[k];
+    d[ORL_C_SUN_AZ] = wrap(d[ORL_C_SUN_AZ]);
+    for (int k = 0; k < N; k++) {
+        float *h = (float *)q->h[k], pd = 0;
+        for (int i = k; i < N; i++) h[i] = h[i] * scale + w->prior_weight * w->m->prior_prec[k][i];
+        for (int i = 0; i < N; i++) pd += w->m->prior_prec[k][i] * d[i];
+        q->g[k] = q->g[k] * scale + w->prior_weight * pd;
+        prior += 0.5 * w->prior_weight * d[k] * pd;
+    }
+    q->cost = 0.5 * scale * rho + prior;
+    q->cost_before = 0.5 * scale * rho_before + prior;
+}
+
+/* Cholesky factor of H + damping; fixed entries become identity rows. 0 if not positive definite. */
+static int factor(state *w, const normal *q, double damping)
+{
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j <= i; j++) {
+            double s = w->fixed[i] || w->fixed[j] ? i == j : ((const float *)q->h[j])[i];
+            if (i == j) s += damping * (s > 0 ? s : 0) + 1e-6;
+            for (int k = 0; k < j; k++) s -= w->l[i][k] * w->l[j][k];
+            if (i == j && !(s > 1e-9)) return 0;
+            w->l[i][j] = i == j ? sqrt(s) : s / w->l[j][j];
+        }
+    return 1;
+}
+
+static void solve(const state *w, double x[N])
+{
+    for (int i = 0; i < N; i++) {
+        for (int k = 0; k < i; k++) x[i] -= w->l[i][k] * x[k];
+        x[i] /= w->l[i][i];
+    }
+    for (int i = N - 1; i >= 0; i--) {
+        for (int k = i + 1; k < N; k++) x[i] -= w->l[k][i] * x[k];
+        x[i] /= w->l[i][i];
+    }
+}
+
+/* Keeps a code where the model means something. */
+static void confine(const state *w, float *code)
+{
+    if (!w->fixed[ORL_C_SUN_AZ]) code[ORL_C_SUN_AZ] = wrap(code[ORL_C_SUN_AZ]);
+    for (int k = 1; k < N; k++) {
+        if (w->fixed[k]) continue;
+        if (k == ORL_C_SUN_EL) code[k] = clampf(code[k], -0.1f, 1.5f);
+        else if (k < ORL_C_ENV) code[k] = clampf(code[k], -8, 6);
+        else if (k < ORL_C_TONE) code[k] = clampf(code[k], -8, 8);
+        else code[k] = clampf(code[k], -0.9f, 0.9f);
+    }
+}
+
+typedef struct { float code[N]; double cost; int steps, status; } descent;
+
+/* Descends from d->code; leaves the equations at the result in *last. */
+static void descend(state *w, descent *d, float tau, float tau_end, int max_steps, size_t stride, normal **last)
+{
+    normal *at = &w->eq[0], *next = &w->eq[1];
+    double lambda = 1e-3;
+    evaluate(w, d->code, tau, tau, stride, at);
+    d->status = ORL_ADAPT_ITERATIONS;
+    for (d->steps = 0; d->steps < max_steps; d->steps++) {
+        while (!factor(w, at, lambda)) if ((lambda *= 10) > 1e8) { d->status = ORL_ADAPT_DEGENERATE; goto done; }
+        double x[N];
+        for (int k = 0; k < N; k++) x[k] = w->fixed[k] ? 0 : -at->g[k];
+        solve(w, x);
+        double longest = 1;                                                     /* no step beyond half a radian of sun or 1.5 units of anything else */
+        for (int k = 0; k < N; k++) longest = fmax(longest, fabs(x[k]) / (k < ORL_C_SUN_RGB ? 0.5 : 1.5));
+        descent trial = *d;
+        for (int k = 0; k < N; k++) trial.code[k] += (float)(x[k] / longest);
+        confine(w, trial.code);
+        float shrunk = fmaxf(tau_end, 0.6f * tau);
+        evaluate(w, trial.code, tau, shrunk, stride, next);
+        double gain = at->cost - next->cost_before;
+        int settled = tau <= tau_end && fabs(gain) < 1e-4 * at->cost + 1e-9;
+        if (gain >= 0) {
+            memcpy(d->code, trial.code, sizeof d->code);
+            normal *swap = at;
+            at = next;
+            next = swap;
+            lambda = fmax(lambda * 0.2, 1e-7);
+            tau = shrunk;
+        } else if ((lambda = fmax(lambda, 1e-4) * 8) > 1e6) settled = 1;
+        if (settled) { d->status = ORL_ADAPT_CONVERGED; d->steps++; break; }
+    }
+done:
+    d->cost = at->cost;
+    *last = at;
+}
+
+/* Does the photo say anything: some samples neither black nor burnt out. */
+static int informative(const orl_sample *s, size_t n)
+{
+    double all = 0, good = 0;
+    for (size_t i = 0; i < n; i++) {
+        if (!usable(&s[i])) continue;
+        const float *c = s[i].rgb;
+        int black = c[0] < 3.0f / 255 && c[1] < 3.0f / 255 && c[2] < 3.0f / 255, burnt = c[0] >= 250.0f / 255 && c[1] >= 250.0f / 255 && c[2] >= 250.0f / 255;
+        all += s[i].weight;
+        if (!black && !burnt) good += s[i].weight;
+    }
+    return all > 0 && good > 0.005 * all;
+}
+
+static void finish(state *w, const descent *d, const normal *q, int steps, orl_adapt_result *out)
+{
+    memcpy(out->code, d->code, sizeof out->code);
+    double samples = q->weight > 0 ? q->weight : 1;
+    out->cost = (float)(d->cost / (samples < INDEPENDENT ? samples : INDEPENDENT));
+    out->rms = q->kept > 0 ? (float)sqrt(q->square / (3 * q->kept)) : 0;
+    out->inliers = (float)(q->kept / samples);
+    out->iterations = steps;
+    out->status = (orl_adapt_status)d->status;
+    int definite = factor(w, q, 0);
+    for (int k = 0; k < N; k++) {
+        double x[N] = { 0 };
+        x[k] = 1;
+        if (definite) solve(w, x);
+        out->std[k] = w->fixed[k] ? 0 : (float)sqrt(fmax(x[k], 0));
+    }
+}
+
+orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
+                  const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out)
+{
+    if (work_bytes < orl_adapt_need() || ((uintptr_t)work & 63)) return orl_fail(ORL_E_MEMORY, "adapt: work block of %zu bytes, %zu needed, aligned to 64", work_bytes, orl_adapt_need());
+    orl_adapt_options o = opt ? *opt : orl_adapt_defaults();
+    if (!(o.sigma > 0) || !(o.prior_weight >= 0) || o.azimuths < 0 || o.azimuths > 64) return orl_fail(ORL_E_RANGE, "adapt: sigma %g, prior weight %g or %d azimuths out of range", o.sigma, o.prior_weight, o.azimuths);
+    state *w = work;
+    w->m = m;
+    w->s = s;
+    w->n = n;
+    w->prior_weight = o.prior_weight;
+    w->sigma = o.sigma;
+    for (int k = 0; k < N; k++)
+        w->fixed[k] = (k < ORL_C_SHADOW && (o.frozen & 1)) || (k >= ORL_C_SHADOW && k < ORL_C_TONE && (o.frozen & 2)) || (k >= ORL_C_TONE && (o.frozen & 4)) || (k < ORL_C_SUN_RGB && (o.frozen & 8));
+    descent from = { .cost = 0 }, best[2] = { { .cost = INFINITY }, { .cost = INFINITY } };
+    for (int k = 0; k < N; k++) from.code[k] = init && init[k] - init[k] == 0 ? init[k] : m->prior_mean[k];
+    confine(w, from.code);
+    normal *q = &w->eq[0];
+    float tau_end = TAU_SIGMAS * o.sigma;
+    int steps = 0;
+    if (!informative(s, n)) {
+        w->n = 0;
+        from.status = ORL_ADAPT_DEGENERATE;
+        evaluate(w, from.code, tau_end, tau_end, 1, q);
+        from.cost = q->cost;
+        finish(w, &from, q, 0, out);
+        return ORL_OK;
+    }
+    if (init || o.azimuths == 0) {
+        best[0] = from;
+        descend(w, &best[0], 1.6f * tau_end, tau_end, o.max_iterations, 1, &q);
+        finish(w, &best[0], q, best[0].steps, out);
+    } else {
+        static const float ELEVATION[2] = { 0.45f, 1.0f };
+        size_t stride = n > COARSE_SAMPLES ? n / COARSE_SAMPLES : 1;
+        int turn = !w->fixed[ORL_C_SUN_AZ];
+        for (int a = 0; a < (turn ? o.azimuths : 1); a++)
+            for (int e = 0; e < (turn ? 2 : 1); e++) {
+                descent d = from;
+                if (turn) {
+                    d.code[ORL_C_SUN_AZ] = wrap((float)a * (2 * PI / (float)o.azimuths));
+                    d.code[ORL_C_SUN_EL] = ELEVATION[e];
+                }
+                descend(w, &d, TAU_COARSE, TAU_MIDDLE, o.max_iterations < COARSE_STEPS ? o.max_iterations : COARSE_STEPS, stride, &q);
+                steps += d.steps;
+                if (d.status == ORL_ADAPT_DEGENERATE) continue;
+                int same = fabsf(wrap(d.code[0] - best[0].code[0])) < 0.3f;     /* the runner-up should stand elsewhere */
+                if (d.cost < best[0].cost) {
+                    if (!same) best[1] = best[0];
+                    best[0] = d;
+                } else if (!same && d.cost < best[1].cost) best[1] = d;
+            }
+        float tau = fmaxf(TAU_MIDDLE, tau_end);
+        orl_adapt_result r[2];
+        int found = 0;
+        for (int b = 0; b < 2 && best[b].cost < INFINITY; b++) {
+            descend(w, &best[b], tau, tau_end, o.max_iterations, 1, &q);
+            steps += best[b].steps;
+            finish(w, &best[b], q, 0, &r[b]);
+            found++;
+        }
+        if (found) *out = found == 2 && r[1].cost < r[0].cost && r[1].status != ORL_ADAPT_DEGENERATE ? r[1] : r[0];
+        else {
+            from.status = ORL_ADAPT_DEGENERATE;
+            finish(w, &from, q, 0, out);
+        }
+        out->iterations = steps;
+    }
+    if (out->status == ORL_ADAPT_DEGENERATE) memcpy(out->code, from.code, sizeof out->code);
+    return ORL_OK;
+}

@@ -1,0 +1,361 @@
+/* The photo laid into the wide render (include/oriel/blend.h).
+ *
+ * Once: for every wide pixel its place in the photo (Q8), how much the photo counts (a smoothstep over the border's FEATHER), and how much it may tell about the seam.
+ * Per frame, all integer: 1. the photo is area-averaged into the wide raster, and the difference photo - render near the border is summed in coarse cells, sky and surface apart, large
+ * differences (people) counting little; 2. the cells are filled by push and pull over a pyramid and fade with the distance to the photo; 3. they are added to the render
+ * (bilinear) and the photo is mixed in. Not done: parallax (the centres must agree), exposure differences that vary quickly along the border. */
+#include "oriel/blend.h"
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+
+enum { CELLS = 64, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };
+#define FEATHER 0.03        /* of the photo's short side */
+#define BAND    3.0         /* seam colours are taken this many feathers deep */
+#define REACH   0.35        /* a correction has halved at this distance from the photo, in short sides */
+
+typedef struct { int w, h; int32_t *value[3], *trust; } level;     /* value Q4; trust 0..256 */
+
+struct orl_blend {
+    int w, h, pw, ph;
+    int box_x, box_y;                   /* footprint of a wide pixel in the photo, Q8, >= 256 */
+    uint64_t inverse;                   /* 2^40 / footprint */
+    int cell, gw, gh, levels;
+    int *x0, *x1;                       /* covered columns of each row */
+    int32_t *at;                        /* [pixel][2] the footprint's corner in the photo, Q8 */
+    uint8_t *weight, *seam, *layer;     /* [pixel] of the photo, of its seam colour; layer: 0..255 surface */
+    uint8_t *warped;                    /* [pixel][3] */
+    int64_t *sum;                       /* [layer][cell][4]: three differences and their weight */
+    int32_t *fade;                      /* [cell] Q8 */
+    int32_t *column;                    /* [w][2] left cell, Q8 fraction */
+    level pyramid[LAYERS][LEVELS];
+    const uint8_t *photo;
+    uint8_t *wide;
+};
+
+/* Bump allocation; a NULL base counts only. */
+typedef struct { uint8_t *base; size_t used; } arena;
+static void *take(arena *a, size_t n)
+{
+    void *p = a->base ? a->base + a->used : NULL;
+    a->used += (n + 63) & ~(size_t)63;
+    return p;
+}
+
+static void lay_out(arena *a, int w, int h, orl_blend **out)
+{
+    orl_blend *b = take(a, sizeof *b), dummy;
+    if (!b) b = &dummy;
+    memset(b, 0, sizeof *b);
+    size_t n = (size_t)w * (size_t)h;
+    int side = w > h ? w : h;
+    b->w = w;
+    b->h = h;
+    b->cell = side / CELLS > 4 ? (side + CELLS - 1) / CELLS : 4;
+    b->gw = (w + b->cell - 1) / b->cell;
+    b->gh = (h + b->cell - 1) / b->cell;
+    b->x0 = take(a, (size_t)h * sizeof *b->x0);
+    b->x1 = take(a, (size_t)h * sizeof *b->x1);
+    b->at = take(a, n * 2 * sizeof *b->at);
+    b->weight = take(a, n);
+    b->seam = take(a, n);
+    b->layer = take(a, n);
+    b->warped = take(a, n * 3);
+    size_t cells = (size_t)b->gw * (size_t)b->gh;
+    b->sum = take(a, LAYERS * cells * 4 * sizeof *b->sum);
+    b->fade = take(a, cells * sizeof *b->fade);
+    b->column = take(a, (size_t)w * 2 * sizeof *b->column);
+    for (int k = 0; k < LAYERS; k++) {
+        int gw = b->gw, gh = b->gh;
+        for (b->levels = 0; b->levels < LEVELS; ) {
+            level *l = &b->pyramid[k][b->levels++];
+            size_t m = (size_t)gw * (size_t)gh;
+            l->w = gw;
+            l->h = gh;
+            for (int c = 0; c < 3; c++) l->value[c] = take(a, m * sizeof(int32_t));
+            l->trust = take(a, m * sizeof(int32_t));
+            if (gw == 1 && gh == 1) break;
+            gw = (gw + 1) / 2;
+            gh = (gh + 1) / 2;
+        }
+    }
+    if (out) *out = b;
+}
+
+size_t orl_blend_need(int w, int h)
+{
+    arena a = { 0 };
+    lay_out(&a, w, h, NULL);
+    return a.used;
+}
+
+/* ---- once ---- */
+
+/* World ray of a wide pixel's centre, in the photo's camera. */
+static void photo_ray(const orl_camera *wide, const double turn[9], double x, double y, double d[3])
+{
+    double r[3];
+    orl_camera_unproject(wide, x, y, r);
+    for (int i = 0; i < 3; i++) d[i] = turn[3 * i] * r[0] + turn[3 * i + 1] * r[1] + turn[3 * i + 2] * r[2];
+}
+
+/* Photo pixel of a ray; 0 if the lens does not see it (a distortion polynomial folds back far outside the picture, so the way back must lead to the same ray). */
+static int photo_pixel(const orl_camera *c, const double d[3], double uv[2])
+{
+    double back[3];
+    if (!orl_camera_project(c, d, uv) || !(uv[0] >= 0 && uv[0] <= c->w && uv[1] >= 0 && uv[1] <= c->h)) return 0;
+    orl_camera_unproject(c, uv[0], uv[1], back);
+    double ex = back[0] - d[0] / d[2], ey = back[1] - d[1] / d[2];
+    return ex * ex + ey * ey < 1e-6;
+}
+
+static int footprint(double photo_focal, double wide_focal)
+{
+    double s = photo_focal / wide_focal;
+    return s <= 1 ? 256 : s >= SCALE_MAX ? SCALE_MAX * 256 : (int)(s * 256 + 0.5);
+}
+
+static double smooth(double t)
+{
+    t = t < 0 ? 0 : t > 1 ? 1 : t;
+    return t * t * (3 - 2 * t);
+}
+
+static int clampi(int v, int lo, int hi) { return v < lo ? lo : v > hi ? hi : v; }
+
+static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide, const double turn[9], const uint8_t *mask)
+{
+    double feather = FEATHER * (b->pw < b->ph ? b->pw : b->ph);
+    for (int y = 0; y < b->h; y++) {
+        b->x0[y] = b->w;
+        for (int x = 0; x < b->w; x++) {
+            size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+            double d[3], uv[2];
+            b->weight[i] = b->seam[i] = 0;
+            photo_ray(wide, turn, x + 0.5, y + 0.5, d);
+            if (!photo_pixel(photo, d, uv)) continue;
+            double dx = uv[0] < b->pw - uv[0] ? uv[0] : b->pw - uv[0], dy = uv[1] < b->ph - uv[1] ? uv[1] : b->ph - uv[1], in = (dx < dy ? dx : dy) / feather;
+            b->weight[i] = (uint8_t)(255 * smooth(in) + 0.5);
+            b->seam[i] = (uint8_t)(255 * smooth((BAND - in) / BAND * 2) + 0.5);
+            if (mask && mask[(size_t)clampi((int)uv[1], 0, b->ph - 1) * (size_t)b->pw + (size_t)clampi((int)uv[0], 0, b->pw - 1)]) b->seam[i] = 0;
+            b->at[2 * i] = clampi((int)(uv[0] * 256 + 0.5) - b->box_x / 2, 0, b->pw * 256 - b->box_x);
+            b->at[2 * i + 1] = clampi((int)(uv[1] * 256 + 0.5) - b->box_y / 2, 0, b->ph * 256 - b->box_y);
+            if (b->x0[y] == b->w) b->x0[y] = x;
+            b->x1[y] = x + 1;
+        }
+        if (b->x0[y] == b->w) b->x0[y] = b->x1[y] = 0;
+    }
+}
+
+/* How much of a correction is left in a cell: by its distance from the photo, as a lens without distortion would measure it. */
+static void set_fade(orl_blend *b, const orl_camera *photo, const orl_camera *wide, const double turn[9])
+{
+    orl_camera plain = *photo;
+    plain.model = ORL_CAM_PINHOLE;
+    plain.k1 = plain.k2 = plain.p1 = plain.p2 = 0;
+    double reach = REACH * (b->pw < b->ph ? b->pw : b->ph);
+    for (int cy = 0; cy < b->gh; cy++)
+        for (int cx = 0; cx < b->gw; cx++) {
+            double d[3], uv[2];
+            int *fade = &b->fade[cy * b->gw + cx];
+            photo_ray(wide, turn, (cx + 0.5) * b->cell, (cy + 0.5) * b->cell, d);
+            *fade = 0;
+            if (!orl_camera_project(&plain, d, uv)) continue;
+            double dx = uv[0] < 0 ? -uv[0] : uv[0] > b->pw ? uv[0] - b->pw : 0, dy = uv[1] < 0 ? -uv[1] : uv[1] > b->ph ? uv[1] - b->ph : 0;
+            *fade = (int)(256 / (1 + (dx * dx + dy * dy) / (reach * reach)) + 0.5);
+        }
+}
+
+orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, const orl_camera *wide, const orl_pose *wide_pose,
+                       const uint8_t *cov, size_t cov_stride, const uint8_t *mask, void *block, size_t bytes, orl_blend **out)
+{
+    double a[3], c[3], turn[9], gap = 0, size = 0;
+    if (bytes < orl_blend_need(wide->w, wide->h)) return orl_fail(ORL_E_MEMORY, "blend: the block is too small");
+    orl_pose_centre(photo_pose, a);
+    orl_pose_centre(wide_pose, c);
+    for (int i = 0; i < 3; i++) {
+        gap += (a[i] - c[i]) * (a[i] - c[i]);
+        size += a[i] * a[i] + photo_pose->t[i] * photo_pose->t[i];
+    }
+    if (gap > 1e-8 * size + 1e-12) return orl_fail(ORL_E_RANGE, "blend: the wide view does not share the photo's centre");
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {       /* photo <- world <- wide */
+            turn[3 * i + k] = 0;
+            for (int j = 0; j < 3; j++) turn[3 * i + k] += photo_pose->R[3 * i + j] * wide_pose->R[3 * k + j];
+        }
+    arena ar = { block, 0 };
+    orl_blend *b;
+    lay_out(&ar, wide->w, wide->h, &b);
+    b->pw = photo->w;
+    b->ph = photo->h;
+    b->box_x = footprint(photo->fx, wide->fx);
+    b->box_y = footprint(photo->fy, wide->fy);
+    if (b->box_x > b->pw * 256) b->box_x = b->pw * 256;
+    if (b->box_y > b->ph * 256) b->box_y = b->ph * 256;
+    uint64_t area = (uint64_t)b->box_x * (uint64_t)b->box_y;
+    b->inverse = (((uint64_t)1 << 40) + area / 2) / area;
+    for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
+    for (int x = 0; x < b->w; x++) {
+        int q = ((2 * x + 1) * 128) / b->cell - 128;
+        q = clampi(q, 0, (b->gw - 1) * 256);
+        b->column[2 * x] = clampi(q >> 8, 0, b->gw > 1 ? b->gw - 2 : 0);
+        b->column[2 * x + 1] = b->gw > 1 ? q - b->column[2 * x] * 256 : 0;
+    }
+    place(b, photo, wide, turn, mask);
+    set_fade(b, photo, wide, turn);
+    *out = b;
+    return ORL_OK;
+}
+
+/* ---- per frame ---- */
+
+/* Mean of the photo over the footprint at (u, v). */
+static void average(const orl_blend *b, int u, int v, uint8_t rgb[3])
+{
+    uint64_t sum[3] = { 0, 0, 0 };
+    int u1 = u + b->box_x, v1 = v + b->box_y;
+    for (int y = v >> 8; y << 8 < v1; y++) {
+        int top = y << 8 > v ? y << 8 : v, bottom = (y + 1) << 8 < v1 ? (y + 1) << 8 : v1;
+        const uint8_t *p = b->photo + ((size_t)y * (size_t)b->pw + (size_t)(u >> 8)) * 3;
+        uint32_t r = 0, g = 0, bl = 0;      /* 64 pixels of Q8 weight at most: below 2^23 */
+        for (int x = u >> 8; x << 8 < u1; x++, p += 3) {
+            int left = x << 8 > u ? x << 8 : u, right = (x + 1) << 8 < u1 ? (x + 1) << 8 : u1;
+            uint32_t wx = (uint32_t)(right - left);
+            r += wx * p[0];
+            g += wx * p[1];
+            bl += wx * p[2];
+        }
+        uint64_t wy = (uint64_t)(bottom - top);
+        sum[0] += wy * r;
+        sum[1] += wy * g;
+        sum[2] += wy * bl;
+    }
+    for (int c = 0; c < 3; c++) {
+        uint64_t m = (sum[c] * b->inverse + ((uint64_t)1 << 39)) >> 40;
+        rgb[c] = (uint8_t)(m > 255 ? 255 : m);
+    }
+}
+
+/* Geman-McClure weight of a difference of d levels, Q8. */
+static int robust(int d)
+{
+    int a = KNEE * KNEE * 256 / (KNEE * KNEE + d * d);
+    return a * a >> 8;
+}
+
+/* Rows of cells: the photo into the wide raster, the seam's differences into the cells. */
+static void measure(void *user, int begin, int end)
+{
+    orl_blend *b = user;
+    size_t cells = (size_t)b->gw * (size_t)b->gh;
+    for (int cy = begin; cy < end; cy++) {
+        for (int k = 0; k < LAYERS; k++) memset(b->sum + ((size_t)k * cells + (size_t)cy * (size_t)b->gw) * 4, 0, (size_t)b->gw * 4 * sizeof *b->sum);
+        int y1 = (cy + 1) * b->cell < b->h ? (cy + 1) * b->cell : b->h;
+        for (int y = cy * b->cell; y < y1; y++)
+            for (int x = b->x0[y]; x < b->x1[y]; x++) {
+                size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+                uint8_t *p = b->warped + 3 * i;
+                const uint8_t *r = b->wide + 3 * i;
+                if (!b->weight[i] && !b->seam[i]) continue;
+                average(b, b->at[2 * i], b->at[2 * i + 1], p);
+                if (!b->seam[i]) continue;
+                int d[3] = { p[0] - r[0], p[1] - r[1], p[2] - r[2] }, worst = 0;
+                for (int c = 0; c < 3; c++) worst = abs(d[c]) > worst ? abs(d[c]) : worst;
+                int w = b->seam[i] * robust(worst);
+                int64_t *s = b->sum + ((size_t)(b->layer[i] >= 128) * cells + (size_t)(cy * b->gw + x / b->cell)) * 4;
+                for (int c = 0; c < 3; c++) s[c] += (int64_t)d[c] * w;
+                s[3] += w;
+            }
+    }
+}
+
+static void push(const level *fine, level *coarse)
+{
+    for (int y = 0; y < coarse->h; y++)
+        for (int x = 0; x < coarse->w; x++) {
+            int32_t v[3] = { 0, 0, 0 }, t = 0;
+            for (int k = 0; k < 4; k++) {
+                int fx = 2 * x + (k & 1), fy = 2 * y + (k >> 1);
+                if (fx >= fine->w || fy >= fine->h) continue;
+                int i = fy * fine->w + fx;
+                for (int c = 0; c < 3; c++) v[c] += fine->value[c][i] * fine->trust[i];
+                t += fine->trust[i];
+            }
+            int o = y * coarse->w + x;
+            for (int c = 0; c < 3; c++) coarse->value[c][o] = t ? v[c] / t : 0;
+            coarse->trust[o] = t < 256 ? t : 256;
+        }
+}
+
+static void pull(const level *coarse, level *fine)
+{
+    for (int y = 0; y < fine->h; y++)
+        for (int x = 0; x < fine->w; x++) {
+            int i = y * fine->w + x, t = fine->trust[i], xa = x / 2, ya = y / 2;
+            int xb = clampi(xa + (x & 1 ? 1 : -1), 0, coarse->w - 1), yb = clampi(ya + (y & 1 ? 1 : -1), 0, coarse->h - 1);
+            for (int c = 0; c < 3; c++) {
+                const int32_t *q = coarse->value[c];
+                int up = 9 * q[ya * coarse->w + xa] + 3 * q[ya * coarse->w + xb] + 3 * q[yb * coarse->w + xa] + q[yb * coarse->w + xb];
+                fine->value[c][i] = (t * 16 * fine->value[c][i] + (256 - t) * up) / 4096;
+            }
+        }
+}
+
+static void spread(orl_blend *b)
+{
+    size_t cells = (size_t)b->gw * (size_t)b->gh;
+    int64_t full = (int64_t)b->cell * b->cell * 255 * 256 / 4;     /* a quarter of a cell's pixels in full agreement: trusted */
+    for (int k = 0; k < LAYERS; k++) {
+        level *l = b->pyramid[k];
+        for (size_t i = 0; i < cells; i++) {
+            const int64_t *s = b->sum + ((size_t)k * cells + i) * 4;
+            for (int c = 0; c < 3; c++) l[0].value[c][i] = s[3] ? (int32_t)(s[c] * (1 << VALUE_Q) / s[3]) : 0;
+            int64_t t = s[3] * 256 / full;
+            l[0].trust[i] = (int32_t)(t < 256 ? t : 256);
+        }
+        for (int n = 1; n < b->levels; n++) push(&l[n - 1], &l[n]);
+        for (int n = b->levels - 1; n > 0; n--) pull(&l[n], &l[n - 1]);
+        for (size_t i = 0; i < cells; i++)
+            for (int c = 0; c < 3; c++) l[0].value[c][i] = l[0].value[c][i] * b->fade[i] / 256;
+    }
+}
+
+static void mix(void *user, int begin, int end)
+{
+    orl_blend *b = user;
+    for (int y = begin; y < end; y++) {
+        int q = clampi(((2 * y + 1) * 128) / b->cell - 128, 0, (b->gh - 1) * 256), cy = clampi(q >> 8, 0, b->gh > 1 ? b->gh - 2 : 0), fy = b->gh > 1 ? q - cy * 256 : 0;
+        int right = b->gw > 1, down = b->gh > 1 ? b->gw : 0;
+        for (int x = 0; x < b->w; x++) {
+            size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+            int at = cy * b->gw + b->column[2 * x], fx = b->column[2 * x + 1], weight = b->weight[i], surface = b->layer[i];
+            uint8_t *o = b->wide + 3 * i;
+            const uint8_t *p = b->warped + 3 * i;
+            if (weight == 255) {
+                memcpy(o, p, 3);
+                continue;
+            }
+            for (int c = 0; c < 3; c++) {
+                int add = 0;
+                for (int k = 0; k < LAYERS; k++) {
+                    int share = k ? surface : 255 - surface;
+                    if (!share) continue;
+                    const int32_t *v = b->pyramid[k][0].value[c] + at;
+                    int top = v[0] * (256 - fx) + v[right] * fx, low = v[down] * (256 - fx) + v[down + right] * fx;
+                    add += (top * (256 - fy) + low * fy) / (1 << 12) * share;      /* Q8 levels times 0..255: below 2^24 */
+                }
+                int render = clampi(o[c] + (add + 255 * 128 + 255 * 65536) / (255 * 256) - 256, 0, 255);
+                o[c] = (uint8_t)(weight ? (p[c] * weight + render * (255 - weight) + 127) / 255 : render);
+            }
+        }
+    }
+}
+
+void orl_blend_apply(orl_blend *b, const uint8_t *photo, uint8_t *wide, int threads)
+{
+    b->photo = photo;
+    b->wide = wide;
+    orl_parallel(threads, b->gh, 1, measure, b);
+    spread(b);
+    orl_parallel(threads, b->h, 16, mix, b);
+}

@@ -1,0 +1,243 @@
+/* Photo -> wide picture (runtime/widen.h): observe, adapt, re-light, shade, blend. */
+#include "runtime/widen.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/image.h"
+#include "oriel/parallel.h"
+
+enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2 };
+
+typedef struct { uint8_t *base; size_t used; } arena;
+static void *take(arena *a, size_t n)
+{
+    void *p = a->base ? a->base + a->used : NULL;
+    a->used += (n + 63) & ~(size_t)63;
+    return p;
+}
+
+void *orl_widen_block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
+
+static orl_camera small_camera(const orl_camera *photo)
+{
+    int w, h;
+    orl_size_long_side(photo->w, photo->h, SMALL_SIDE, &w, &h);
+    return orl_camera_resized(photo, w, h);
+}
+
+/* Adaptation looks at one pixel in each cell of a square lattice, its place a hash of the cell. */
+static int pick(int w, int h, int *spot)
+{
+    int cell = 1, n = 0;
+    while ((long)w * h > (long)SAMPLES * cell * cell) cell++;
+    for (int y = 0; y < h; y += cell)
+        for (int x = 0; x < w; x += cell) {
+            uint32_t k = (uint32_t)(y * 65537 + x) * 2654435761u;
+            k = (k ^ (k >> 15)) * 2246822519u;
+            int sx = x + (int)((k >> 8) % (unsigned)cell), sy = y + (int)((k >> 20) % (unsigned)cell);
+            if (sx >= w || sy >= h) continue;
+            if (spot) spot[n] = sy * w + sx;
+            n++;
+        }
+    return n;
+}
+
+typedef struct { void *small, *wide, *blend; } blocks;
+
+static void lay_out(arena *a, const orl_widen_config *c, orl_widen *w, blocks *b)
+{
+    orl_camera s = small_camera(&c->photo);
+    w->nsamples = pick(s.w, s.h, NULL);
+    w->light = take(a, sizeof *w->light);
+    w->samples = take(a, (size_t)w->nsamples * sizeof *w->samples);
+    w->spot = take(a, (size_t)w->nsamples * sizeof *w->spot);
+    w->unmasked = take(a, (size_t)s.w * (size_t)s.h);
+    w->adapt_work = take(a, orl_adapt_need());
+    w->light_block = take(a, orl_view_light_need());
+    b->small = take(a, orl_view_need(s.w, s.h));
+    b->wide = take(a, orl_view_need(c->wide.w, c->wide.h));
+    b->blend = c->blend ? take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
+}
+
+size_t orl_widen_need(const orl_widen_config *c)
+{
+    arena a = { 0 };
+    orl_widen w;
+    blocks b;
+    lay_out(&a, c, &w, &b);
+    return a.used;
+}
+
+/* Weighted sums of a photo channel's pixels over a small pixel: exact, each photo pixel cut at the small pixel's borders. */
+static void average(const orl_camera *photo, int sw, int sh, int sx, int sy, const uint8_t *px, int channels, uint64_t *sum)
+{
+    long w = photo->w, h = photo->h, left = sx * w, right = left + w, top = sy * h, bottom = top + h;     /* in 1/sw, 1/sh of a photo pixel */
+    for (int c = 0; c < channels; c++) sum[c] = 0;
+    for (long y = top / sh; y * sh < bottom; y++) {
+        long wy = ((y + 1) * sh < bottom ? (y + 1) * sh : bottom) - (y * sh > top ? y * sh : top);
+        for (long x = left / sw; x * sw < right; x++) {
+            long wx = ((x + 1) * sw < right ? (x + 1) * sw : right) - (x * sw > left ? x * sw : left);
+            const uint8_t *p = px + (size_t)(y * w + x) * (size_t)channels;
+            for (int c = 0; c < channels; c++) sum[c] += (uint64_t)(wx * wy) * p[c];
+        }
+    }
+}
+
+orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out)
+{
+    arena a = { block, 0 };
+    orl_widen w;
+    blocks b;
+    memset(&w, 0, sizeof w);
+    w.config = *c;
+    if (bytes < orl_widen_need(c)) return orl_fail(ORL_E_MEMORY, "widen: the block is too small");
+    lay_out(&a, c, &w, &b);
+    orl_camera s = small_camera(&c->photo);
+    orl_err e = orl_view_build(c->scene, &s, &c->photo_pose, 2, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
+    if (!e) e = orl_view_build(c->scene, &c->wide, &c->wide_pose, 2, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+    if (!e && c->blend)
+        e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, w.wide.cov, (size_t)w.wide.stride, c->mask, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
+    if (e) return e;
+    pick(s.w, s.h, w.spot);
+    for (int i = 0; i < s.w * s.h; i++) {
+        uint64_t person = 0;
+        if (c->mask) average(&c->photo, s.w, s.h, i % s.w, i / s.w, c->mask, 1, &person);
+        w.unmasked[i] = !person;
+    }
+    for (int i = 0; i < w.nsamples; i++) {
+        memset(&w.samples[i], 0, sizeof w.samples[i]);
+        orl_view_sample(&w.small, w.spot[i] % s.w, w.spot[i] / s.w, &w.samples[i]);
+    }
+    *out = w;
+    return ORL_OK;
+}
+
+/* ---- the light of a photo ---- */
+
+static void observe(orl_widen *w, const uint8_t *photo)
+{
+    const orl_camera *cam = &w->config.photo;
+    double full = 255.0 * cam->w * cam->h;
+    for (int i = 0; i < w->nsamples; i++) {
+        uint64_t sum[3];
+        int at = w->spot[i];
+        average(cam, w->small.w, w->small.h, at % w->small.w, at / w->small.w, photo, 3, sum);
+        for (int c = 0; c < 3; c++) w->samples[i].rgb[c] = (float)((double)sum[c] / full);
+        w->samples[i].weight = w->unmasked[at];
+    }
+}
+
+/* Mean of the robust residual r^2 / (r^2 + knee^2) under a code, over every step-th sample. */
+static float misfit(orl_widen *w, const float *code, int step)
+{
+    const float knee = 0.1f * 0.1f;
+    float sum = 0, n = 0;
+    orl_light_decode(&w->config.scene->light, code, w->light);
+    for (int i = 0; i < w->nsamples; i += step) {
+        const orl_sample *s = &w->samples[i];
+        float rgb[3], r = 0;
+        if (s->weight == 0) continue;
+        orl_light_shade(w->light, s, rgb);
+        for (int c = 0; c < 3; c++) r += (rgb[c] - s->rgb[c]) * (rgb[c] - s->rgb[c]);
+        sum += r / (r + knee);
+        n++;
+    }
+    return n > 0 ? sum / n : 1;
+}
+
+static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
+{
+    orl_adapt_options opt = orl_adapt_defaults();
+    w->starts++;
+    return orl_adapt(&w->config.scene->light, w->samples, (size_t)w->nsamples, init, &opt, w->adapt_work, orl_adapt_need(), out);
+}
+
+/* From the prior's starts, and from the training photos whose light comes nearest. */
+static orl_err fit_cold(orl_widen *w)
+{
+    const orl_scene *s = w->config.scene;
+    orl_adapt_result r;
+    orl_err e = fit(w, NULL, &r);
+    if (e) return e;
+    w->fit = r;
+    const float *best[CANDIDATES] = { NULL };
+    float score[CANDIDATES];
+    for (uint32_t i = 0; i < s->ncodes; i++) {
+        const float *code = s->codes + (size_t)i * ORL_CODE;
+        float m = misfit(w, code, 8);
+        for (int k = 0; k < CANDIDATES; k++)
+            if (!best[k] || m < score[k]) {
+                for (int j = CANDIDATES - 1; j > k; j--) {
+                    best[j] = best[j - 1];
+                    score[j] = score[j - 1];
+                }
+                best[k] = code;
+                score[k] = m;
+                break;
+            }
+    }
+    for (int k = 0; k < CANDIDATES && best[k]; k++)
+        if (!(e = fit(w, best[k], &r)) && r.status != ORL_ADAPT_DEGENERATE && r.cost < w->fit.cost) w->fit = r;
+    return e;
+}
+
+static float wrapped(float a)
+{
+    const float pi = 3.14159265f;
+    return a > pi ? a - 2 * pi : a < -pi ? a + 2 * pi : a;
+}
+
+/* From the last codes. Where they still explained the photo nearly as well, the step is noise and passers-by for the most part: take half of it, so that the light does not flicker. */
+static orl_err fit_warm(orl_widen *w)
+{
+    orl_adapt_result r;
+    float old[ORL_CODE];
+    memcpy(old, w->fit.code, sizeof old);
+    orl_err e = fit(w, old, &r);
+    if (e) return e;
+    if (r.status == ORL_ADAPT_DEGENERATE) {
+        memcpy(r.code, old, sizeof old);
+    } else if (misfit(w, old, 1) < 1.1f * misfit(w, r.code, 1) + 1e-4f) {
+        for (int k = 0; k < ORL_CODE; k++) {
+            float step = r.code[k] - old[k];
+            r.code[k] = old[k] + 0.5f * (k == ORL_C_SUN_AZ ? wrapped(step) : step);
+        }
+    }
+    r.code[ORL_C_SUN_AZ] = wrapped(r.code[ORL_C_SUN_AZ]);
+    w->fit = r;
+    return ORL_OK;
+}
+
+orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
+{
+    w->starts = 0;
+    observe(w, photo);
+    orl_err e = w->adapted ? fit_warm(w) : fit_cold(w);
+    if (e) return e;
+    w->adapted = w->fit.status != ORL_ADAPT_DEGENERATE || w->adapted;
+    orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
+    return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
+}
+
+/* ---- the picture ---- */
+
+typedef struct { orl_widen *w; uint8_t *out; } shading;
+
+static void shade(void *user, int begin, int end)
+{
+    shading *s = user;
+    orl_widen *w = s->w;
+    size_t row = (size_t)w->wide.w * 3;
+    orl_view_relight(&w->wide, w->tables, w->config.cpu, begin, end);
+    orl_view_shade(&w->wide, w->tables, w->config.cpu, begin, end, s->out + (size_t)begin * row, row);
+}
+
+orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out)
+{
+    shading s = { w, out };
+    if (!w->tables) return orl_fail(ORL_E_DEGENERATE, "widen: no light yet");
+    orl_parallel(w->config.threads, w->wide.h, 16, shade, &s);
+    if (w->blend) orl_blend_apply(w->blend, photo, out, w->config.threads);
+    return ORL_OK;
+}

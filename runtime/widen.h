@@ -1,0 +1,44 @@
+/* One camera, one wide view: what `extend` does once and `run` every frame. Private to the runtime.
+ *
+ * A small view at the photo's camera serves adaptation, the wide view is re-lit and shaded, the blend lays the photo in. Everything lives in the caller's block;
+ * after orl_widen_init nothing is allocated. Same bytes for any number of threads, any kernel and machine. */
+#ifndef RUNTIME_WIDEN_H
+#define RUNTIME_WIDEN_H
+#include "oriel/adapt.h"
+#include "oriel/blend.h"
+#include "oriel/view.h"
+
+typedef struct {
+    const orl_scene *scene;
+    orl_camera photo, wide;             /* photo: at the frame's size */
+    orl_pose photo_pose, wide_pose;
+    const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
+    int blend;                          /* 0: the render alone */
+    int threads;
+    unsigned cpu;
+} orl_widen_config;
+
+typedef struct {
+    orl_widen_config config;
+    orl_view small, wide;
+    orl_blend *blend;                   /* NULL without */
+    orl_adapt_result fit;               /* of the last adaptation */
+    int adapted;                        /* fit.code holds a light */
+    int starts;                         /* adaptations run for the last frame */
+    orl_light *light;
+    orl_sample *samples; int nsamples;
+    int *spot;                          /* [nsamples] pixel of the small view */
+    uint8_t *unmasked;                  /* [small pixel] 1 = no person */
+    void *adapt_work, *light_block;
+    orl_view_light *tables;
+} orl_widen;
+
+size_t orl_widen_need(const orl_widen_config *c);
+orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out);
+/* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status. */
+orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo);
+/* The wide picture (tight RGB) in the light found last. photo is blended in, if the configuration says so. */
+orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out);
+/* 64-byte aligned memory for such blocks; NULL if there is none. */
+void *orl_widen_block(size_t bytes);
+#endif

@@ -1,0 +1,133 @@
+/* Stage 1 gradients against finite differences, and repeatability of a step, on a tiny synthetic world. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+#include "trainer/stage1.h"
+
+/* Two cameras look along +y at a wall in a 32^3 box; the upper part of the photos is sky. */
+static void make_world(world *w)
+{
+    memset(w, 0, sizeof *w);
+    snprintf(w->title, sizeof w->title, "wall");
+    w->frame = (frame){ .R = { 1, 0, 0, 0, 1, 0, 0, 0, 1 }, .scale = 1, .dims = { 32, 32, 32 }, .ground = 2 };
+    w->nphotos = 2;
+    w->photos = calloc(2, sizeof *w->photos);
+    w->obs = calloc(64, sizeof *w->obs);
+    w->points = calloc(32, sizeof *w->points);
+    for (int k = 0; k < 2; k++) {
+        world_photo *p = &w->photos[k];
+        double f = 24;
+        p->w = p->h = 24;
+        orl_camera_from_params(&p->cam, ORL_CAM_SIMPLE_PINHOLE, 24, 24, (double[]){ f, 12, 12 }, 3);
+        p->centre[0] = 12 + 8 * k; p->centre[1] = 1; p->centre[2] = 12;
+        memcpy(p->axes, (double[9]){ 1, 0, 0, 0, 0, 1, 0, -1, 0 }, sizeof p->axes);   /* camera x -> x, y -> -z, z -> y */
+        p->rgb = malloc(24 * 24 * 3);
+        p->sky = malloc(24 * 24);
+        for (int i = 0; i < 24 * 24; i++) {
+            p->sky[i] = i < 24 * 6 ? 255 : 0;
+            for (int a = 0; a < 3; a++) p->rgb[3 * i + a] = (uint8_t)((i * 37 + a * 91 + k * 50) % 256);
+        }
+        p->obs_begin = (uint32_t)k * 16;
+        p->obs_count = 16;
+    }
+    for (int i = 0; i < 16; i++) {
+        w->points[i] = (world_point){ { 6.0f + (float)(i % 4) * 5, 20, 6.0f + (float)(i / 4) * 3 }, 1 };
+        for (int k = 0; k < 2; k++) {
+            double uv[2] = { 0, 0 };
+            world_project(&w->photos[k], w->points[i].x, uv, NULL);
+            w->obs[w->nobs++] = (world_obs){ (float)uv[0], (float)uv[1], (uint32_t)i };
+        }
+    }
+    for (uint32_t i = 0; i < 32; i++) w->obs[i].point = i % 16;
+    w->npoints = 16;
+}
+
+/* Perturbs the entries with the largest gradients of a grid and compares. Sample positions do not depend on the parameters here: the whole box lies within the band of step 0. */
+static int check_grid(stage1 *s, grid *g, const char *name, float h, double tolerance)
+{
+    stage1_losses l;
+    size_t n = g->nverts * (size_t)g->c, best[6] = { 0 };
+    stage1_gradients(s, &l);
+    double grad[6];
+    for (int k = 0; k < 6; k++) {
+        float top = 0;
+        for (size_t i = 0; i < n; i++) {
+            int used = 0;
+            for (int j = 0; j < k; j++) used |= best[j] == i;
+            if (!used && fabsf(g->g[0][i]) > top) { top = fabsf(g->g[0][i]); best[k] = i; }
+        }
+        grad[k] = g->g[0][best[k]];
+    }
+    int bad = 0;
+    for (int k = 0; k < 6; k++) {
+        float keep = g->p[best[k]];
+        g->p[best[k]] = keep + h;
+        stage1_gradients(s, &l);
+        double up = l.total;
+        g->p[best[k]] = keep - h;
+        stage1_gradients(s, &l);
+        double down = l.total;
+        g->p[best[k]] = keep;
+        double fd = (up - down) / (2 * h), rel = fabs(fd - grad[k]) / (fabs(fd) + fabs(grad[k]) + 1e-3);
+        if (rel > tolerance) { printf("%s[%zu]: gradient %g, finite difference %g\n", name, best[k], grad[k], fd); bad++; }
+    }
+    for (int q = 0; q < SDF_LEVELS; q++) { memset(s->sdf[q].g[0], 0, s->sdf[q].nverts * 4); }
+    memset(s->feat[0].g[0], 0, s->feat[0].nverts * FEAT * 4);
+    memset(s->feat[1].g[0], 0, s->feat[1].nverts * FEAT * 4);
+    memset(s->codes.g[0], 0, s->codes.nverts * FEAT * 4);
+    memset(s->transient.g[0], 0, s->transient.nverts * 8 * 4);
+    return bad;
+}
+
+static void gradients_match_finite_differences(void **state)
+{
+    (void)state;
+    for (int transient = 0; transient < 2; transient++) {
+        world w;
+        stage1 s;
+        make_world(&w);
+        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 100, 7, 1 }), ORL_OK);
+        s.step = transient ? 21 : 0;            /* the transient branch joins at a fifth of the run */
+        rng r = rng_make(3, 0, 0);
+        for (int l = 0; l < FEAT_LEVELS; l++) for (size_t i = 0; i < s.feat[l].nverts * FEAT; i++) s.feat[l].p[i] = 0.2f * rng_normal(&r);
+        for (size_t i = 0; i < s.transient.nverts * 8; i++) s.transient.p[i] = 0.5f * rng_normal(&r);
+        for (size_t i = 0; i < s.sdf[2].nverts; i++) s.sdf[2].p[i] = fminf(s.sdf[2].p[i], 8.0f);
+        int bad = check_grid(&s, &s.sdf[2], "sdf[2]", 2e-3f, 0.03) + check_grid(&s, &s.sdf[3], "sdf[3]", 2e-3f, 0.03) + check_grid(&s, &s.feat[0], "feat[0]", 1e-2f, 0.02)
+                + check_grid(&s, &s.feat[1], "feat[1]", 1e-2f, 0.02) + check_grid(&s, &s.codes, "codes", 1e-2f, 0.02);
+        if (transient) bad += check_grid(&s, &s.transient, "transient", 1e-2f, 0.02);
+        assert_int_equal(bad, 0);
+        stage1_free(&s);
+        world_free(&w);
+    }
+}
+
+static void steps_repeat(void **state)
+{
+    (void)state;
+    world w;
+    make_world(&w);
+    float seen[2][3];
+    for (int run = 0; run < 2; run++) {
+        stage1 s;
+        stage1_losses l;
+        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 30, 7, 2 }), ORL_OK);
+        for (int i = 0; i < 30; i++) {
+            stage1_step(&s, &l);
+            assert_true(isfinite(l.total));
+        }
+        for (int i = 0; i < 3; i++) seen[run][i] = stage1_sdf(&s, (float[]){ 5.0f + 9 * i, 18, 9 }, NULL);
+        stage1_free(&s);
+    }
+    assert_memory_equal(seen[0], seen[1], sizeof seen[0]);
+    world_free(&w);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = { cmocka_unit_test(gradients_match_finite_differences), cmocka_unit_test(steps_repeat) };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,30 @@
+/* Half-photo protocol: what every column predicts from the known part of a photo. */
+#ifndef TRAINER_EVAL_H
+#define TRAINER_EVAL_H
+#include "oriel/adapt.h"
+#include "oriel/image.h"
+#include "oriel/metrics.h"
+#include "oriel/model.h"
+#include "oriel/scene.h"
+#include "trainer/baselines.h"
+
+enum { EVAL_FIXED, EVAL_FLOAT, EVAL_ROW_MEAN, EVAL_NEAREST, EVAL_MEDIAN, EVAL_COLUMNS };
+
+typedef struct {
+    const orl_scene *scene;         /* NULL: no column `fixed` */
+    const orl_model *model;         /* NULL: no column `float` */
+    baselines *base;                /* NULL: no warps */
+    unsigned cpu;
+    int threads;
+} eval_setup;
+
+typedef struct {
+    orl_image rgb[EVAL_COLUMNS];            /* px NULL where the column is left out */
+    orl_adapt_result adapt[EVAL_FLOAT + 1]; /* of `fixed` and `float` */
+} eval_prediction;
+
+/* Predicts the whole picture of a view (cam->w x cam->h, the photo's size) from the photo's columns [0, known_w): the photo is cut there first, and the cut is all that adaptation and baselines
+ * are given. known_w = cam->w lets them see everything. */
+orl_err eval_predict(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *photo, int known_w, eval_prediction *out);
+void eval_prediction_free(eval_prediction *p);
+#endif

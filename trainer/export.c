@@ -1,0 +1,84 @@
+/* Quantises the trained model into the scene file: SDF to 1/32 cell, base colour to 8-bit square roots, openness and horizons to 8 bits, shadow features to int8 with power-of-two scales.
+ * The shadow branch is left out where it darkens nothing. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "trainer/checkpoint.h"
+
+static uint8_t quant8(float v) { return (uint8_t)(v <= 0 ? 0 : v >= 1 ? 255 : (int)(v * 255.0f + 0.5f)); }
+
+static void shadow_scales(const surface *surf, const stage2 *s2, float scale[ORL_SHADOW_DIM])
+{
+    float top[ORL_SHADOW_DIM] = { 0 };
+    (void)surf;
+    const grid *g = &s2->shadow;
+    for (size_t i = 0; i < g->nverts; i++) {
+        if (!g->live[i / GRID_TILE]) continue;
+        for (int k = 0; k < ORL_SHADOW_DIM; k++) top[k] = fmaxf(top[k], fabsf(g->p[i * ORL_SHADOW_DIM + (size_t)k]));
+    }
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) {
+        scale[k] = 1.0f / 128;
+        while (top[k] > 127 * scale[k] && scale[k] < 1) scale[k] *= 2;
+    }
+}
+
+orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, const char *title, size_t *bytes)
+{
+    orl_scene sc = { 0 };
+    const frame *f = &surf->f;
+    for (int a = 0; a < 3; a++) {
+        sc.nb[a] = (uint32_t)surf->nb[a];
+        for (int b = 0; b < 3; b++) sc.world_to_grid[4 * a + b] = f->scale * f->R[3 * a + b];
+        sc.world_to_grid[4 * a + 3] = f->offset[a];
+    }
+    sc.cell_world = (float)(1.0 / f->scale);
+    sc.nbricks = surf->nbricks;
+    sc.light = s2->light;
+    snprintf(sc.title, sizeof sc.title, "%s", title);
+    size_t n = surf->nbricks;
+    int8_t *sdf = malloc(n * ORL_BRICK_VERTS + 1), *shadow = malloc(n * ORL_LITE_VERTS * ORL_SHADOW_DIM + 1);
+    uint8_t *albedo = malloc(n * ORL_BRICK_VERTS * 3 + 1), *lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
+    orl_err e = ORL_OK;
+    if (!sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
+    shadow_scales(surf, s2, sc.shadow_scale);
+    for (size_t i = 0; i < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; i++) {
+        if (surf->bmap[i] < 0) continue;
+        size_t b = (size_t)surf->bmap[i];
+        int o[3] = { (int)(i % (size_t)surf->nb[0]) * 8, (int)(i / (size_t)surf->nb[0] % (size_t)surf->nb[1]) * 8, (int)(i / ((size_t)surf->nb[0] * (size_t)surf->nb[1])) * 8 };
+        for (int v = 0; v < ORL_BRICK_VERTS; v++) {
+            float q = surf->sdf[b * ORL_BRICK_VERTS + (size_t)v] * ORL_SDF_UNIT;
+            sdf[b * ORL_BRICK_VERTS + (size_t)v] = (int8_t)(q > 127 ? 127 : q < -128 ? -128 : (int)floorf(q + 0.5f));
+            float x[3] = { (float)(o[0] + v % 9), (float)(o[1] + v / 9 % 9), (float)(o[2] + v / 81) }, a[3];
+            stage2_albedo(s2, x, a);
+            for (int c = 0; c < 3; c++) albedo[(b * ORL_BRICK_VERTS + (size_t)v) * 3 + (size_t)c] = quant8(sqrtf(a[c]));
+        }
+        for (int v = 0; v < ORL_LITE_VERTS; v++) {
+            int x = o[0] / 4 + v % 3, y = o[1] / 4 + v / 3 % 3, z = o[2] / 4 + v / 9;
+            const float *l = surf->lite.p + grid_at(&surf->lite, x, y, z) * 24, *p = s2->shadow.p + grid_at(&s2->shadow, x, y, z) * ORL_SHADOW_DIM;
+            uint8_t *ol = lite + (b * ORL_LITE_VERTS + (size_t)v) * ORL_LITE_BYTES;
+            int8_t *os = shadow + (b * ORL_LITE_VERTS + (size_t)v) * ORL_SHADOW_DIM;
+            ol[0] = quant8(l[0]);
+            for (int k = 0; k < ORL_HORIZON; k++) ol[1 + k] = quant8(l[1 + k] * (1 / 1.5707963f));
+            for (int k = 0; k < ORL_SHADOW_DIM; k++) {
+                float q = floorf(p[k] / sc.shadow_scale[k] + 0.5f);
+                os[k] = (int8_t)(q > 127 ? 127 : q < -127 ? -127 : q);
+            }
+        }
+    }
+    sc.bmap = surf->bmap;
+    sc.sdf = sdf;
+    sc.albedo = albedo;
+    sc.lite = lite;
+    sc.shadow = shadow;
+    if (s2->codes && s2->w) {
+        sc.ncodes = (uint32_t)s2->w->nphotos;
+        sc.codes = &s2->codes[0][0];
+    }
+    e = orl_scene_write(path, &sc, bytes);
+done:
+    free(sdf);
+    free(shadow);
+    free(albedo);
+    free(lite);
+    return e;
+}

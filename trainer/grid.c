@@ -1,0 +1,137 @@
+/* Trainable grids (grid.h): memory, optimiser, checkpoint. */
+#include "trainer/grid.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include "oriel/parallel.h"
+
+static void *map_zero(size_t bytes)
+{
+    void *p = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS | MAP_NORESERVE, -1, 0);
+    return p == MAP_FAILED ? NULL : p;
+}
+
+static uint32_t *axis_table(int n, uint32_t inner, uint32_t tile_step)
+{
+    uint32_t *t = malloc((size_t)n * sizeof *t);
+    for (int i = 0; t && i < n; i++) t[i] = (uint32_t)(i & 3) * inner + (uint32_t)(i >> 2) * tile_step;
+    return t;
+}
+
+orl_err grid_init(grid *g, const int dims[3], int cell, int c, int threads)
+{
+    memset(g, 0, sizeof *g);
+    g->c = c;
+    g->cell = (float)cell;
+    g->inv_cell = 1.0f / (float)cell;
+    g->threads = threads < GRID_THREADS ? threads : GRID_THREADS;
+    for (int a = 0; a < 3; a++) g->n[a] = (dims[a] / cell + 1 + 3) & ~3;
+    g->nverts = (size_t)g->n[0] * (size_t)g->n[1] * (size_t)g->n[2];
+    g->ntiles = g->nverts / GRID_TILE;
+    if (g->nverts > UINT32_MAX) return orl_fail(ORL_E_RANGE, "grid of %d x %d x %d vertices is too large", g->n[0], g->n[1], g->n[2]);
+    g->ax = axis_table(g->n[0], 1, GRID_TILE);
+    g->ay = axis_table(g->n[1], 4, GRID_TILE * (uint32_t)(g->n[0] / 4));
+    g->az = axis_table(g->n[2], 16, GRID_TILE * (uint32_t)(g->n[0] / 4) * (uint32_t)(g->n[1] / 4));
+    size_t bytes = g->nverts * (size_t)c * sizeof(float);
+    g->p = map_zero(bytes);
+    g->live = map_zero(g->ntiles);
+    int ok = g->ax && g->ay && g->az && g->p && g->live;
+    if (ok && threads) {
+        g->m = map_zero(bytes);
+        g->v = map_zero(bytes);
+        ok = g->m && g->v;
+        for (int t = 0; ok && t < g->threads; t++) {
+            g->g[t] = map_zero(bytes);
+            g->dirty[t] = map_zero(g->ntiles + 8);
+            ok = g->g[t] && g->dirty[t];
+        }
+    }
+    if (ok) return ORL_OK;
+    grid_free(g);
+    return orl_fail(ORL_E_MEMORY, "no memory for a grid of %zu vertices", g->nverts);
+}
+
+void grid_free(grid *g)
+{
+    size_t bytes = g->nverts * (size_t)g->c * sizeof(float);
+    if (g->p) munmap(g->p, bytes);
+    if (g->m) munmap(g->m, bytes);
+    if (g->v) munmap(g->v, bytes);
+    if (g->live) munmap(g->live, g->ntiles);
+    for (int t = 0; t < GRID_THREADS; t++) {
+        if (g->g[t]) munmap(g->g[t], bytes);
+        if (g->dirty[t]) munmap(g->dirty[t], g->ntiles + 8);
+    }
+    free(g->ax);
+    free(g->ay);
+    free(g->az);
+    memset(g, 0, sizeof *g);
+}
+
+typedef struct { grid *g; float lr; } adam_job;
+
+static void adam_tiles(void *user, int begin, int end)
+{
+    adam_job *job = user;
+    grid *g = job->g;
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    for (int t = begin; t < end; t++) {
+        int any = 0;
+        for (int k = 0; k < g->threads; k++) any |= g->dirty[k][t];
+        if (!any) continue;
+        g->live[t] = 1;
+        float *sum = NULL;
+        for (int k = 0; k < g->threads; k++) {
+            if (!g->dirty[k][t]) continue;
+            g->dirty[k][t] = 0;
+            float *gk = g->g[k] + (size_t)t * span;
+            if (!sum) { sum = gk; continue; }
+            for (size_t i = 0; i < span; i++) sum[i] += gk[i];
+            memset(gk, 0, span * sizeof *gk);
+        }
+        float *p = g->p + (size_t)t * span, *m = g->m + (size_t)t * span, *v = g->v + (size_t)t * span;
+        for (size_t i = 0; i < span; i++) {
+            float d = sum[i], touched = d != 0.0f ? 1.0f : 0.0f;
+            float m1 = 0.9f * m[i] + 0.1f * d, v1 = 0.99f * v[i] + 0.01f * d * d;
+            m[i] = touched != 0 ? m1 : m[i];
+            v[i] = touched != 0 ? v1 : v[i];
+            p[i] -= touched * job->lr * m1 / (sqrtf(v1) + 1e-12f);
+        }
+        memset(sum, 0, span * sizeof *sum);
+    }
+}
+
+void grid_adam(grid *g, float lr, int threads)
+{
+    adam_job job = { g, lr };
+    orl_parallel(threads, (int)g->ntiles, 512, adam_tiles, &job);
+}
+
+orl_err grid_save(const grid *g, FILE *f, int moments)
+{
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    int bad = fwrite(g->n, sizeof g->n, 1, f) != 1 || fwrite(&g->c, sizeof g->c, 1, f) != 1 || fwrite(g->live, 1, g->ntiles, f) != g->ntiles;
+    for (size_t t = 0; !bad && t < g->ntiles; t++) {
+        if (!g->live[t]) continue;
+        bad |= fwrite(g->p + t * span, sizeof(float), span, f) != span;
+        if (moments) bad |= fwrite(g->m + t * span, sizeof(float), span, f) != span || fwrite(g->v + t * span, sizeof(float), span, f) != span;
+    }
+    return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
+}
+
+orl_err grid_load(grid *g, FILE *f, int moments, const char *path)
+{
+    int n[3], c;
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    if (fread(n, sizeof n, 1, f) != 1 || fread(&c, sizeof c, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: grid header is cut short", path);
+    if (memcmp(n, g->n, sizeof n) || c != g->c) return orl_fail(ORL_E_FORMAT, "%s: grid is %d x %d x %d x %d, expected %d x %d x %d x %d", path, n[0], n[1], n[2], c, g->n[0], g->n[1], g->n[2], g->c);
+    if (fread(g->live, 1, g->ntiles, f) != g->ntiles) return orl_fail(ORL_E_FORMAT, "%s: grid tile table is cut short", path);
+    for (size_t t = 0; t < g->ntiles; t++) {
+        if (!g->live[t]) continue;
+        int bad = fread(g->p + t * span, sizeof(float), span, f) != span;
+        if (!bad && moments) bad = fread(g->m + t * span, sizeof(float), span, f) != span || fread(g->v + t * span, sizeof(float), span, f) != span;
+        if (bad) return orl_fail(ORL_E_FORMAT, "%s: grid tile %zu is cut short", path, t);
+    }
+    return ORL_OK;
+}

@@ -1,0 +1,97 @@
+/* The float model of a checkpoint (include/oriel/model.h): surface and stage 2, rendered pixel by pixel without quantisation. */
+#include "oriel/model.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+#include "trainer/checkpoint.h"
+
+struct orl_model { surface surf; stage2 s2; };
+
+orl_err orl_model_load(const char *path, orl_model **out)
+{
+    checkpoint_header h;
+    FILE *f;
+    orl_err e = checkpoint_peek(path, &h, &f);
+    if (e) return e;
+    orl_model *m = calloc(1, sizeof *m);
+    if (!m) e = orl_fail(ORL_E_MEMORY, "%s: no memory", path);
+    if (!e && h.phase != 3) e = orl_fail(ORL_E_FORMAT, "%s: training has not finished (go on with fit --resume)", path);
+    if (!e) e = surface_load(&m->surf, f, path);
+    if (!e) e = stage2_init(&m->s2, NULL, &m->surf, NULL, NULL, &(stage2_options){ 0 });
+    if (!e) e = stage2_load(&m->s2, f, 0, path);
+    fclose(f);
+    if (e) { orl_model_free(m); return e; }
+    *out = m;
+    return ORL_OK;
+}
+
+void orl_model_free(orl_model *m)
+{
+    if (!m) return;
+    stage2_free(&m->s2);
+    surface_free(&m->surf);
+    free(m);
+}
+
+const orl_light_model *orl_model_light(const orl_model *m) { return &m->s2.light; }
+void orl_model_up(const orl_model *m, double R[9]) { memcpy(R, m->surf.f.R, sizeof m->surf.f.R); }
+
+typedef struct { const orl_model *m; world_photo cam; orl_sample *out; float *depth; } gbuffer_job;
+
+static void gbuffer_rows(void *user, int begin, int end)
+{
+    gbuffer_job *j = user;
+    const orl_model *m = j->m;
+    float o[3] = { (float)j->cam.centre[0], (float)j->cam.centre[1], (float)j->cam.centre[2] };
+    float fwd[3] = { (float)j->cam.axes[2], (float)j->cam.axes[5], (float)j->cam.axes[8] };
+    for (int y = begin; y < end; y++)
+        for (int x = 0; x < j->cam.w; x++) {
+            orl_sample *s = &j->out[(size_t)y * (size_t)j->cam.w + (size_t)x];
+            memset(s, 0, sizeof *s);
+            world_ray(&j->cam, x + 0.5, y + 0.5, s->dir);
+            float hits = 0, depth = 0;
+            for (int k = 0; k < 4; k++) {       /* four rays: attributes averaged, coverage counted */
+                float d[3];
+                surface_hit h;
+                world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
+                if (!surface_march(&m->surf, o, d, &h)) continue;
+                orl_sample q;
+                stage2_surface_sample(&m->s2, h.x, h.n, &q);
+                for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
+                for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];
+                for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] += q.phi[a];
+                s->open += q.open;
+                depth += h.t * (d[0] * fwd[0] + d[1] * fwd[1] + d[2] * fwd[2]);
+                hits++;
+            }
+            if (hits > 0) {
+                float inv = 1 / hits, n = 0;
+                for (int a = 0; a < 3; a++) { s->albedo[a] *= inv; n += s->normal[a] * s->normal[a]; }
+                n = n > 1e-12f ? 1 / sqrtf(n) : 0;
+                for (int a = 0; a < 3; a++) s->normal[a] *= n;
+                for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] *= inv;
+                for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] *= inv;
+                s->open *= inv;
+                s->cov = hits / 4;
+                depth *= inv / (float)m->surf.f.scale;
+            }
+            if (j->depth) j->depth[(size_t)y * (size_t)j->cam.w + (size_t)x] = depth;
+        }
+}
+
+void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, int threads, orl_sample *out, float *depth)
+{
+    gbuffer_job j = { .m = m, .out = out, .depth = depth };
+    const frame *f = &m->surf.f;
+    double c[3];
+    j.cam.cam = *cam;
+    j.cam.w = cam->w;
+    j.cam.h = cam->h;
+    orl_pose_centre(pose, c);
+    frame_apply(f, c, j.cam.centre);
+    for (int a = 0; a < 3; a++)
+        for (int b = 0; b < 3; b++)
+            j.cam.axes[3 * a + b] = f->R[3 * a] * pose->R[3 * b] + f->R[3 * a + 1] * pose->R[3 * b + 1] + f->R[3 * a + 2] * pose->R[3 * b + 2];
+    orl_parallel(threads, cam->h, 4, gbuffer_rows, &j);
+}

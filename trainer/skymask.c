@@ -1,0 +1,418 @@
+/* Sky segmentation of one photo. In: sRGB photo, camera, pose, up, pixels of SfM points. Out: 255 surely sky .. 0 surely not.
+ *
+ * Evidence is a log-odds u per pixel, from what a sky is: above the horizon, without SfM points, with none of them above it, smooth, and joined to the top of the picture without an edge between.
+ * It is spread along the picture by minimising  sum lambda_i (x_i - sigmoid(u_i))^2 + sum w_ij (x_i - x_j)^2,  w_ij falling with the step in colour and lambda_i with doubt, so that the answer
+ * flows over flat areas and stops at edges. From x, colour histograms of sky and scene are learned and join the evidence; a few rounds at 256 px, one at 512 px. Then every region must prove itself:
+ * what has points inside, has no edge around it, or hides under the building without the sky's colour, falls back to unknown or scene. */
+#include "oriel/skymask.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { COARSE = 256, FINE = 512, ROUNDS = 4, SWEEPS = 40, BINS = 24, CELLS = BINS * BINS * BINS };
+#define BLOCKED 9.0f             /* barrier of what cannot be reached */
+#define HARD 2.0f               /* px at COARSE: this near to an SfM point nothing is sky */
+
+typedef struct {
+    int w, h;
+    float unit;                 /* long side / COARSE: lengths below are for COARSE */
+    float *ch[3];               /* luma, R - B, G - (R + B) / 2; 0..1 */
+    float *wx, *wy;             /* edge weights to the right and down */
+    float *texture;             /* mean step of colour around */
+    float *dist;                /* px at COARSE to the nearest SfM point */
+    float *cover;               /* 0 open .. 1 SfM points above */
+    float *elevation;           /* radians over the horizon */
+    float *barrier;             /* highest step on the easiest way to the top of the picture */
+    float *base;                /* log-odds of all but colour */
+    float *lambda, *goal, *x;
+    uint8_t *blank;             /* frame left by an undistortion */
+    float *block;
+} level;
+
+static float clampf(float v, float lo, float hi) { return v < lo ? lo : v > hi ? hi : v; }
+static float sigmoid(float u) { return 1 / (1 + expf(-u)); }
+
+static orl_err level_alloc(level *l, int w, int h)
+{
+    float **plane[] = { &l->ch[0], &l->ch[1], &l->ch[2], &l->wx, &l->wy, &l->texture, &l->dist, &l->cover, &l->elevation, &l->barrier, &l->base, &l->lambda, &l->goal, &l->x };
+    size_t n = (size_t)w * (size_t)h, count = sizeof plane / sizeof *plane;
+    *l = (level){ .w = w, .h = h, .unit = (float)(w > h ? w : h) / COARSE };
+    l->block = calloc(n, count * sizeof(float) + 1);
+    if (!l->block) return orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", w, h);
+    for (size_t i = 0; i < count; i++) *plane[i] = l->block + i * n;
+    l->blank = (uint8_t *)(l->block + count * n);
+    return ORL_OK;
+}
+
+/* ---- what a level sees ---- */
+
+static void split_colour(level *l, const uint8_t *px)
+{
+    for (int i = 0; i < l->w * l->h; i++) {
+        float r = px[3 * i] / 255.0f, g = px[3 * i + 1] / 255.0f, b = px[3 * i + 2] / 255.0f;
+        l->ch[0][i] = 0.25f * r + 0.5f * g + 0.25f * b;
+        l->ch[1][i] = r - b;
+        l->ch[2][i] = g - 0.5f * (r + b);
+    }
+}
+
+static float step_between(const level *l, int i, int j)
+{
+    float a = l->ch[0][i] - l->ch[0][j], b = l->ch[1][i] - l->ch[1][j], c = l->ch[2][i] - l->ch[2][j];
+    return sqrtf(a * a + 0.5f * b * b + c * c);
+}
+
+/* Mean over a (2 r + 1)^2 window cut at the frame. tmp: a plane. */
+static void box_mean(const float *in, int w, int h, int r, float *tmp, float *out)
+{
+    for (int y = 0; y < h; y++) {
+        const float *a = in + (size_t)y * w;
+        double s = 0;
+        for (int x = 0; x < r && x < w; x++) s += a[x];
+        for (int x = 0; x < w; x++) {
+            if (x + r < w) s += a[x + r];
+            if (x - r - 1 >= 0) s -= a[x - r - 1];
+            int lo = x - r < 0 ? 0 : x - r, hi = x + r >= w ? w - 1 : x + r;
+            tmp[(size_t)y * w + x] = (float)(s / (hi - lo + 1));
+        }
+    }
+    for (int x = 0; x < w; x++) {
+        double s = 0;
+        for (int y = 0; y < r && y < h; y++) s += tmp[(size_t)y * w + x];
+        for (int y = 0; y < h; y++) {
+            if (y + r < h) s += tmp[(size_t)(y + r) * w + x];
+            if (y - r - 1 >= 0) s -= tmp[(size_t)(y - r - 1) * w + x];
+            int lo = y - r < 0 ? 0 : y - r, hi = y + r >= h ? h - 1 : y + r;
+            out[(size_t)y * w + x] = (float)(s / (hi - lo + 1));
+        }
+    }
+}
+
+static void find_texture(level *l)
+{
+    int w = l->w, h = l->h;
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int i = y * w + x;
+            l->goal[i] = step_between(l, i, x + 1 < w ? i + 1 : i) + step_between(l, i, y + 1 < h ? i + w : i);
+        }
+    box_mean(l->goal, w, h, (int)(2 * l->unit + 0.5f), l->lambda, l->texture);
+}
+
+/* Chamfer distance (3-4) to the points, in px at COARSE. */
+static void find_distance(level *l, const float (*pt)[2], size_t n, float sx, float sy)
+{
+    int w = l->w, h = l->h;
+    for (int i = 0; i < w * h; i++) l->dist[i] = 1e6f;
+    for (size_t k = 0; k < n; k++) {
+        float u = pt[k][0] * sx, v = pt[k][1] * sy;
+        if (u >= 0 && u < (float)w && v >= 0 && v < (float)h) l->dist[(int)v * w + (int)u] = 0;
+    }
+    const float one = 1 / l->unit, diagonal = one * 4 / 3;
+    for (int pass = 0; pass < 2; pass++)
+        for (int k = 0; k < w * h; k++) {
+            int i = pass ? w * h - 1 - k : k, x = i % w, y = i / w, s = pass ? 1 : -1;
+            int inx = x + s >= 0 && x + s < w, iny = y + s >= 0 && y + s < h, back = x - s >= 0 && x - s < w;
+            float d = l->dist[i];
+            if (inx) d = fminf(d, l->dist[i + s] + one);
+            if (iny) d = fminf(d, l->dist[i + s * w] + one);
+            if (inx && iny) d = fminf(d, l->dist[i + s * w + s] + diagonal);
+            if (iny && back) d = fminf(d, l->dist[i + s * w - s] + diagonal);
+            l->dist[i] = d;
+        }
+}
+
+/* Elevation of each pixel's ray, and how many SfM points stand above it (towards the zenith, in a strip): n / (n + 3). */
+static void find_up(level *l, const orl_camera *cam, const double up[3], const float (*pt)[2], size_t n, float sx, float sy)
+{
+    int w = l->w, h = l->h;
+    float *count = l->goal, *tmp = l->lambda;
+    memset(count, 0, (size_t)w * h * sizeof *count);
+    for (size_t k = 0; k < n; k++) {
+        float u = pt[k][0] * sx, v = pt[k][1] * sy;
+        if (u >= 0 && u < (float)w && v >= 0 && v < (float)h) count[(int)v * w + (int)u] += 1;
+    }
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            double d[3];
+            orl_camera_unproject(cam, x + 0.5, y + 0.5, d);
+            double e = (d[0] * up[0] + d[1] * up[1] + d[2] * up[2]) / sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+            l->elevation[y * w + x] = isfinite(e) ? (float)asin(fmax(-1, fmin(1, e))) : 0;
+            if (!y) continue;
+            double ux = up[0] - d[0] * up[2], uy = up[1] - d[1] * up[2];    /* the way to the zenith in the picture */
+            if (!(uy < -0.5 * fabs(ux))) continue;                          /* not upright here: nothing is known to be above */
+            double from = x - ux / uy;
+            if (from < 0 || from > w - 1) continue;
+            int a = (int)from, b = a + 1 < w ? a + 1 : a;
+            float f = (float)(from - a);
+            const float *above = l->cover + (size_t)(y - 1) * w, *here = count + (size_t)(y - 1) * w;
+            l->cover[y * w + x] = (above[a] + here[a]) * (1 - f) + (above[b] + here[b]) * f;
+        }
+    int r = (int)(4 * l->unit + 0.5f);
+    memcpy(count, l->cover, (size_t)w * h * sizeof *count);
+    for (int y = 0; y < h; y++) box_mean(count + (size_t)y * w, w, 1, r, tmp, l->cover + (size_t)y * w);
+    for (int i = 0; i < w * h; i++) {
+        float c = l->cover[i] * (float)(2 * r + 1);
+        l->cover[i] = c / (c + 3);
+    }
+}
+
+/* Black or white frame that an undistortion left: runs of exactly one extreme colour from the left and right rim would eat a white sky, so only black counts. */
+static void find_blank(level *l, const uint8_t *px)
+{
+    int w = l->w, h = l->h;
+    for (int y = 0; y < h; y++)
+        for (int side = 0; side < 2; side++)
+            for (int k = 0; k < w; k++) {
+                int i = y * w + (side ? w - 1 - k : k);
+                if (px[3 * i] | px[3 * i + 1] | px[3 * i + 2]) break;
+                l->blank[i] = 1;
+            }
+    for (int x = 0; x < w; x++)
+        for (int y = 0; y < h; y++) {
+            int i = y * w + x;
+            if (px[3 * i] | px[3 * i + 1] | px[3 * i + 2]) break;
+            l->blank[i] = 1;
+        }
+}
+
+/* Minimax way from the top rim over pixels above the horizon and apart from SfM points: sweeps until nothing moves (a few). */
+static void find_barrier(level *l)
+{
+    int w = l->w, h = l->h, n = w * h;
+    float *b = l->barrier;
+    for (int i = 0; i < n; i++) b[i] = i < w && !l->blank[i] && l->dist[i] >= HARD ? 0 : BLOCKED;
+    for (int i = w; i < n; i++) if (l->blank[i - w] && !l->blank[i] && l->dist[i] >= HARD) b[i] = 0;
+    for (int pass = 0, moved = 1; moved && pass < 16; pass++) {
+        moved = 0;
+        for (int k = 0; k < n; k++) {
+            int i = pass & 1 ? n - 1 - k : k, x = i % w;
+            if (l->blank[i] || l->dist[i] < HARD || l->elevation[i] < 0) continue;
+            const int to[4] = { x ? i - 1 : -1, x + 1 < w ? i + 1 : -1, i - w, i + w < n ? i + w : -1 };
+            for (int q = 0; q < 4; q++) {
+                int j = to[q];
+                if (j < 0 || b[j] >= b[i]) continue;
+                float via = fmaxf(b[j], step_between(l, i, j));
+                if (via < b[i]) { b[i] = via; moved = 1; }
+            }
+        }
+    }
+}
+
+/* ---- evidence ---- */
+
+static float median_of(float *v, int n)         /* reorders v */
+{
+    int lo = 0, hi = n - 1, k = n / 2;
+    while (lo < hi) {
+        float pivot = v[(lo + hi) / 2];
+        int i = lo, j = hi;
+        while (i <= j) {
+            while (v[i] < pivot) i++;
+            while (v[j] > pivot) j--;
+            if (i <= j) { float t = v[i]; v[i++] = v[j]; v[j--] = t; }
+        }
+        if (k <= j) hi = j; else if (k >= i) lo = i; else break;
+    }
+    return v[k];
+}
+
+/* Texture that the scene shows in this photo: the median over the neighbourhood of points, or of everything without points. */
+static float scene_texture(const level *l, float *tmp)
+{
+    int n = l->w * l->h, m = 0;
+    for (int i = 0; i < n; i++) if (!l->blank[i] && l->dist[i] < 4) tmp[m++] = l->texture[i];
+    if (m < n / 50) for (int i = m = 0; i < n; i++) if (l->elevation[i] < 0.15f) tmp[m++] = l->texture[i];
+    if (m < n / 50) for (int i = m = 0; i < n; i++) tmp[m++] = l->texture[i];
+    return fmaxf(median_of(tmp, m), 0.006f);
+}
+
+static void weigh(level *l, float scene)
+{
+    for (int i = 0; i < l->w * l->h; i++) {
+        float u = 1.2f;
+        u += 1.5f * clampf(logf(0.35f * scene / (l->texture[i] + 0.002f)), -2, 1);
+        u += 0.7f * clampf(logf(0.3f * scene / (l->barrier[i] + 0.002f)), -2, 1);
+        u -= 4 * l->cover[i] + 4 * expf(-l->dist[i] / 5);
+        u -= 4 * clampf(1 - l->elevation[i] / 0.10f, 0, 2);
+        l->base[i] = u;
+    }
+}
+
+static void weigh_edges(level *l, float sigma)
+{
+    int w = l->w, h = l->h;
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int i = y * w + x;
+            float a = x + 1 < w ? step_between(l, i, i + 1) / sigma : 0, b = y + 1 < h ? step_between(l, i, i + w) / sigma : 0;
+            l->wx[i] = x + 1 < w ? expf(-a * a) + 1e-4f : 0;
+            l->wy[i] = y + 1 < h ? expf(-b * b) + 1e-4f : 0;
+        }
+}
+
+/* ---- colour: histograms of sky and scene, smoothed ---- */
+
+typedef struct { float lo[3], scale[3], ratio[CELLS], trust; } colours;
+
+static void colours_range(colours *c, const level *l)
+{
+    enum { STEPS = 1024 };
+    int n = l->w * l->h, hist[STEPS];
+    for (int k = 0; k < 3; k++) {
+        memset(hist, 0, sizeof hist);
+        for (int i = 0; i < n; i++) hist[(int)clampf((l->ch[k][i] + 1) * 0.5f * (STEPS - 1), 0, STEPS - 1)]++;
+        int a = 0, b = STEPS - 1, cut = n / 200;
+        for (int s = 0; a < STEPS - 1 && (s += hist[a]) <= cut; a++) {}
+        for (int s = 0; b > a && (s += hist[b]) <= cut; b--) {}
+        float lo = 2.0f * (float)a / (STEPS - 1) - 1, hi = 2.0f * (float)b / (STEPS - 1) - 1, span = fmaxf(hi - lo, 0.12f);
+        c->lo[k] = 0.5f * (lo + hi - span);
+        c->scale[k] = (float)(BINS - 1) / span;
+    }
+}
+
+static int colours_cell(const colours *c, const level *l, int i)
+{
+    int cell = 0;
+    for (int k = 0; k < 3; k++) cell = cell * BINS + (int)clampf((l->ch[k][i] - c->lo[k]) * c->scale[k] + 0.5f, 0, BINS - 1);
+    return cell;
+}
+
+static void smooth_cells(float *v)
+{
+    for (int step = 1; step < CELLS; step *= BINS)
+        for (int i = 0; i < CELLS; i++) {
+            if (i / step % BINS) continue;
+            float before = v[i];
+            for (int k = 0; k < BINS; k++) {
+                float *p = v + i + k * step, here = *p, after = k + 1 < BINS ? p[step] : here;
+                *p = 0.25f * before + 0.5f * here + 0.25f * after;
+                before = here;
+            }
+        }
+}
+
+static void colours_learn(colours *c, const level *l, float *sky, float *scene)
+{
+    double ssky = 0, sscene = 0;
+    memset(sky, 0, CELLS * sizeof *sky);
+    memset(scene, 0, CELLS * sizeof *scene);
+    for (int i = 0; i < l->w * l->h; i++) {
+        if (l->blank[i]) continue;
+        int cell = colours_cell(c, l, i);
+        float a = clampf(2 * l->x[i] - 1, 0, 1), b = clampf(1 - 2 * l->x[i], 0, 1);
+        sky[cell] += a;
+        scene[cell] += b;
+        ssky += a;
+        sscene += b;
+    }
+    for (int pass = 0; pass < 2; pass++) { smooth_cells(sky); smooth_cells(scene); }
+    float a = 1 / (float)(ssky + 1), b = 1 / (float)(sscene + 1), floor = 0.3f / CELLS;
+    c->trust = (float)fmin(ssky, sscene) / (float)(fmin(ssky, sscene) + 0.01 * l->w * l->h);
+    for (int i = 0; i < CELLS; i++) c->ratio[i] = c->trust * clampf(logf((sky[i] * a + floor) / (scene[i] * b + floor)), -3.5f, 3.5f);
+}
+
+/* ---- the answer ---- */
+
+static void combine(level *l, const colours *c)
+{
+    for (int i = 0; i < l->w * l->h; i++) {
+        float u = l->base[i] + (c ? c->ratio[colours_cell(c, l, i)] : 0);
+        l->goal[i] = sigmoid(u);
+        l->lambda[i] = 0.002f + 0.05f * fabsf(2 * l->goal[i] - 1);
+        if (l->dist[i] < 1.2f || l->elevation[i] < -0.07f) { l->goal[i] = 0; l->lambda[i] = 2; }
+        if (l->blank[i]) l->lambda[i] = 1e-4f;
+    }
+}
+
+static void solve(level *l, int sweeps)
+{
+    int w = l->w, h = l->h;
+    for (int s = 0; s < sweeps; s++)
+        for (int k = 0; k < w * h; k++) {
+            int i = s & 1 ? w * h - 1 - k : k, x = i % w;
+            float sum = l->lambda[i] * l->goal[i], weight = l->lambda[i];
+            if (x) { sum += l->wx[i - 1] * l->x[i - 1]; weight += l->wx[i - 1]; }
+            if (x + 1 < w) { sum += l->wx[i] * l->x[i + 1]; weight += l->wx[i]; }
+            if (i >= w) { sum += l->wy[i - w] * l->x[i - w]; weight += l->wy[i - w]; }
+            if (i + w < w * h) { sum += l->wy[i] * l->x[i + w]; weight += l->wy[i]; }
+            l->x[i] = clampf(l->x[i] + 1.6f * (sum / weight - l->x[i]), 0, 1);
+        }
+}
+
+static orl_err level_make(level *l, const orl_image *photo, int side, const orl_camera *cam, const double up[3], const float (*pt)[2], size_t n)
+{
+    int w, h;
+    orl_image small;
+    orl_size_long_side(photo->w, photo->h, side, &w, &h);
+    orl_err e = orl_image_resize_area(photo, w, h, &small);
+    if (e) return e;
+    if (!(e = level_alloc(l, w, h))) {
+        orl_camera c = orl_camera_resized(cam, w, h);
+        float sx = (float)w / (float)photo->w, sy = (float)h / (float)photo->h;
+        split_colour(l, small.px);
+        find_blank(l, small.px);
+        find_texture(l);
+        find_distance(l, pt, n, sx, sy);
+        find_up(l, &c, up, pt, n, sx, sy);
+        find_barrier(l);
+        float scene = scene_texture(l, l->goal);
+        weigh(l, scene);
+        weigh_edges(l, clampf(0.5f * scene, 0.01f, 0.05f));
+    }
+    orl_image_free(&small);
+    return e;
+}
+
+/* Bilinear, pixel centres aligned. */
+static void stretch(const float *in, int w, int h, float *out, int ow, int oh)
+{
+    for (int y = 0; y < oh; y++)
+        for (int x = 0; x < ow; x++) {
+            float u = clampf(((float)x + 0.5f) * (float)w / (float)ow - 0.5f, 0, (float)(w - 1)), v = clampf(((float)y + 0.5f) * (float)h / (float)oh - 0.5f, 0, (float)(h - 1));
+            int a = (int)u, b = (int)v, a1 = a + 1 < w ? a + 1 : a, b1 = b + 1 < h ? b + 1 : b;
+            float fu = u - (float)a, fv = v - (float)b;
+            out[(size_t)y * ow + x] = (1 - fv) * ((1 - fu) * in[b * w + a] + fu * in[b * w + a1]) + fv * ((1 - fu) * in[b1 * w + a] + fu * in[b1 * w + a1]);
+        }
+}
+
+orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pose *pose, const double up[3],
+                    const float (*points)[2], size_t npoints, orl_image *prob)
+{
+    if (!photo || !photo->px || photo->c != 3 || photo->w < 1 || photo->h < 1) return orl_fail(ORL_E_RANGE, "sky mask: the photo is not RGB");
+    double zenith[3] = { 0, -1, 0 }, norm = 0;
+    if (up) {
+        for (int a = 0; a < 3; a++) { zenith[a] = pose->R[3 * a] * up[0] + pose->R[3 * a + 1] * up[1] + pose->R[3 * a + 2] * up[2]; norm += zenith[a] * zenith[a]; }
+        if (!(norm > 1e-12) || !isfinite(norm)) return orl_fail(ORL_E_RANGE, "sky mask: up is no direction");
+        for (int a = 0; a < 3; a++) zenith[a] /= sqrt(norm);
+    }
+    orl_camera here = cam->w == photo->w && cam->h == photo->h ? *cam : orl_camera_resized(cam, photo->w, photo->h);
+    level coarse = { 0 }, fine = { 0 };
+    orl_image out = { 0 };
+    float *full = NULL;
+    colours *c = malloc(sizeof *c);
+    float *cells = malloc(2 * CELLS * sizeof *cells);
+    orl_err e = c && cells ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky mask: no memory for colours");
+    if (e || (e = level_make(&coarse, photo, COARSE, &here, zenith, points, npoints)) || (e = level_make(&fine, photo, FINE, &here, zenith, points, npoints))) goto done;
+
+    colours_range(c, &coarse);
+    for (int round = 0; round < ROUNDS; round++) {
+        combine(&coarse, round ? c : NULL);
+        if (!round) memcpy(coarse.x, coarse.goal, (size_t)coarse.w * coarse.h * sizeof *coarse.x);
+        solve(&coarse, SWEEPS);
+        colours_learn(c, &coarse, cells, cells + CELLS);
+    }
+    combine(&fine, c);
+    stretch(coarse.x, coarse.w, coarse.h, fine.x, fine.w, fine.h);
+    solve(&fine, SWEEPS / 2);
+
+    full = malloc((size_t)photo->w * photo->h * sizeof *full);
+    if (!full) { e = orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", photo->w, photo->h); goto done; }
+    if ((e = orl_image_alloc(&out, photo->w, photo->h, 1))) goto done;
+    stretch(fine.x, fine.w, fine.h, full, photo->w, photo->h);
+    for (size_t i = 0; i < (size_t)photo->w * photo->h; i++) out.px[i] = (uint8_t)(clampf(full[i], 0, 1) * 255 + 0.5f);
+    *prob = out;
+done:
+    free(full); free(c); free(cells); free(coarse.block); free(fine.block);
+    return e;
+}

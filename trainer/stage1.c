@@ -1,0 +1,484 @@
+/* Stage 1: SDF, appearance and transients from photos (losses: Zhao, Yang et al., MM 2022, section 3.2; NeuS alpha; NeRF-W's photometric loss).
+ *
+ * A ray is marched by the distance itself: far steps in free space, then samples only in the band where the logistic CDF S(f / sigma) leaves 1. With samples k along the ray
+ *   alpha_k = max(1 - S(f_k) / S(f_{k-1}), 0),  T_k = prod_{j<k} (1 - alpha_j),  w_k = T_k alpha_k,  W = sum w_k,
+ * free space before the first sample counting as S = 1. Colour is linear in the features, so they are composited first and turned into colour once per ray:
+ *   C = gain * (H_base + sum_j l_j H_j) + bias * W + background * (1 - W).
+ * Transients live in the photo, not in space (one alpha, colour and beta every 8 pixels, in front of everything): cheaper than NeRF-W's transient volume and as able to explain passers-by.
+ * f is linear in the grids' values and so is its gradient: the Eikonal and smoothness losses need no second derivatives. */
+#include "trainer/stage1.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+
+enum { MAX_SAMPLES = 64, MAX_MARCH = 128 };
+static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] = { 2, 8 };
+#define BETA_MIN 0.06f
+
+/* Weights of the loss terms; the photometric one is scaled so that it is the plain squared error where no transient is. */
+#define LAMBDA_SKY 0.1f
+#define LAMBDA_EIKONAL 0.01f
+#define LAMBDA_SMOOTH 0.01f
+#define LAMBDA_POINT 0.02f
+#define LAMBDA_FREE 0.02f
+#define LAMBDA_TRANSIENT 0.012f
+
+orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
+{
+    memset(s, 0, sizeof *s);
+    s->w = w;
+    s->opt = *opt;
+    orl_err e = ORL_OK;
+    for (int l = 0; !e && l < SDF_LEVELS; l++) e = grid_init(&s->sdf[l], w->frame.dims, SDF_CELL[l], 1, opt->threads);
+    for (int l = 0; !e && l < FEAT_LEVELS; l++) e = grid_init(&s->feat[l], w->frame.dims, FEAT_CELL[l], FEAT, opt->threads);
+    int tw = 0, th = 0;
+    for (int k = 0; k < w->nphotos; k++) {
+        tw = w->photos[k].w > tw ? w->photos[k].w : tw;
+        th = w->photos[k].h > th ? w->photos[k].h : th;
+    }
+    if (!e) e = grid_init(&s->codes, (int[3]){ w->nphotos, 1, 1 }, 1, FEAT, opt->threads);
+    if (!e) e = grid_init(&s->transient, (int[3]){ tw / TRANSIENT_PX + 1, th / TRANSIENT_PX + 1, w->nphotos }, 1, 8, opt->threads);
+    if (!e) e = grid_init(&s->hull, w->frame.dims, SDF_CELL[2], 1, 0);
+    float *hull = NULL;
+    int cell = SDF_CELL[2];
+    if (!e) e = hull_build(w, cell, opt->threads, &hull);
+    if (e) { stage1_free(s); return e; }
+    grid *g = &s->sdf[2];
+    int n[3];
+    for (int a = 0; a < 3; a++) n[a] = w->frame.dims[a] / cell + 1;
+    for (int z = 0; z < g->n[2]; z++)
+        for (int y = 0; y < g->n[1]; y++)
+            for (int x = 0; x < g->n[0]; x++) {
+                int cx = x < n[0] ? x : n[0] - 1, cy = y < n[1] ? y : n[1] - 1, cz = z < n[2] ? z : n[2] - 1;
+                size_t i = grid_at(g, x, y, z);
+                g->p[i] = s->hull.p[i] = hull[((size_t)cz * n[1] + cy) * (size_t)n[0] + cx];
+                grid_mark(g, i);
+            }
+    free(hull);
+    for (int k = 0; k < w->nphotos; k++) {
+        const world_photo *p = &w->photos[k];
+        size_t i = grid_at(&s->codes, k, 0, 0);
+        float *c = s->codes.p + i * FEAT;
+        rng r = rng_make(opt->seed, 0xc0de, (uint64_t)k);
+        for (int j = 0; j < APPEARANCE; j++) c[j] = 0.3f * rng_normal(&r);
+        double mean[3] = { 0 }, count = 1e-9;
+        for (int q = 0; q < p->w * p->h; q += 7) {
+            if (p->sky[q] > 200) continue;
+            for (int a = 0; a < 3; a++) mean[a] += p->rgb[3 * q + a] / 255.0;
+            count++;
+        }
+        for (int a = 0; a < 3; a++) {
+            c[4 + a] = 1.0f;
+            c[7 + a] = c[10 + a] = (float)(mean[a] / count);
+        }
+        grid_mark(&s->codes, i);
+    }
+    return ORL_OK;
+}
+
+void stage1_free(stage1 *s)
+{
+    for (int l = 0; l < SDF_LEVELS; l++) grid_free(&s->sdf[l]);
+    for (int l = 0; l < FEAT_LEVELS; l++) grid_free(&s->feat[l]);
+    grid_free(&s->hull);
+    grid_free(&s->codes);
+    grid_free(&s->transient);
+}
+
+/* Coarse to fine: the finest level in use, and the width of the logistic in fine cells. */
+typedef struct { int finest; float sigma, band, delta, lr; int transient; } schedule;
+
+static schedule schedule_at(const stage1 *s)
+{
+    float t = (float)s->step / (float)(s->opt.steps > 0 ? s->opt.steps : 1);
+    schedule c;
+    c.finest = t < 0.15f ? 2 : t < 0.4f ? 1 : 0;
+    float u = t < 0.9f ? t / 0.9f : 1.0f;
+    c.sigma = 1.2f * expf(logf(0.4f / 1.2f) * u);
+    c.band = 5.0f * c.sigma;
+    c.delta = fmaxf(0.9f * c.sigma, 0.5f);
+    c.lr = expf(logf(0.08f) * t);
+    c.transient = t > 0.2f;
+    return c;
+}
+
+typedef struct { grid_cell c[SDF_LEVELS]; float f, grad[3]; } sdf_point;
+
+static void sdf_eval(const stage1 *s, int finest, const float x[3], sdf_point *o)
+{
+    o->f = 0;
+    o->grad[0] = o->grad[1] = o->grad[2] = 0;
+    for (int l = finest; l < SDF_LEVELS; l++) {
+        grid_find(&s->sdf[l], x, &o->c[l]);
+        o->f += grid_value(&s->sdf[l], &o->c[l], o->grad);
+    }
+}
+
+static void sdf_back(stage1 *s, int thread, int finest, const sdf_point *o, float df, const float *dgrad)
+{
+    for (int l = finest; l < SDF_LEVELS; l++) grid_value_back(&s->sdf[l], thread, &o->c[l], df, dgrad);
+}
+
+static float far_value(const stage1 *s, const float x[3])
+{
+    grid_cell c;
+    float f = 0;
+    for (int l = 2; l < SDF_LEVELS; l++) {
+        grid_find(&s->sdf[l], x, &c);
+        f += grid_value(&s->sdf[l], &c, NULL);
+    }
+    return f;
+}
+
+typedef struct {
+    sdf_point p;
+    float log_s, s_val, alpha, trans, weight;   /* alpha between the previous sample and this one */
+    int chained;                                /* previous sample is this one's neighbour (else free space) */
+    grid_cell fc[FEAT_LEVELS];
+    v8 h[2];
+    float x[3];
+} ray_sample;
+
+typedef struct {
+    stage1 *s;
+    schedule c;
+    ray_sample *ray[GRID_THREADS];
+    stage1_losses loss[GRID_THREADS];
+} step_job;
+
+/* Marches one ray; returns the number of samples. */
+static int ray_march(const stage1 *s, const schedule *c, const float o[3], const float d[3], rng *r, ray_sample *out)
+{
+    float t0, t1, trans = 1, prev_log = 0;
+    int n = 0, chained = 0;
+    if (!box_clip(s->w->frame.dims, o, d, &t0, &t1)) return 0;
+    float t = t0 + c->delta * rng_f(r);
+    if (t0 <= 0) t += 1.0f;
+    for (int k = 0; k < MAX_MARCH && t < t1 && n < MAX_SAMPLES; k++) {
+        float x[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
+        if (!chained) {
+            float far = far_value(s, x) - c->band - 3.0f;
+            if (far > 0) { t += fminf(0.8f * far, 48.0f) + c->delta; continue; }
+        }
+        ray_sample *q = &out[n];
+        sdf_eval(s, c->finest, x, &q->p);
+        if (q->p.f > c->band) {
+            t += fmaxf(c->delta, 0.8f * (q->p.f - c->band));
+            chained = 0;
+            prev_log = 0;
+            continue;
+        }
+        float e = q->p.f / c->sigma;
+        /* ln S = -ln(1 + exp(-e)) */
+        q->log_s = e > 0 ? -log1pf(expf(-e)) : e - log1pf(expf(e));
+        q->s_val = expf(q->log_s);
+        float ratio = expf(q->log_s - prev_log);
+        q->alpha = ratio < 1 ? 1 - ratio : 0;
+        q->trans = trans;
+        q->weight = trans * q->alpha;
+        q->chained = chained;
+        trans *= 1 - q->alpha;
+        memcpy(q->x, x, sizeof x);
+        prev_log = q->log_s;
+        chained = 1;
+        n++;
+        if (trans < 2e-3f) break;
+        t += c->delta;
+    }
+    return n;
+}
+
+static float huber_slope(float x, float k) { return x > k ? k : x < -k ? -k : x; }
+static float huber(float x, float k) { float a = fabsf(x); return a > k ? k * (a - 0.5f * k) : 0.5f * x * x; }
+
+/* What the hull carved stays free: f >= half the hull's distance at a random point on the ray before its last sample. */
+static void train_free(step_job *job, int thread, rng *r, const float o[3], const float d[3], const ray_sample *last)
+{
+    stage1 *s = job->s;
+    float t0, t1, x[3];
+    if (!box_clip(s->w->frame.dims, o, d, &t0, &t1)) return;
+    if (last) t1 = fminf(t1, (last->x[0] - o[0]) * d[0] + (last->x[1] - o[1]) * d[1] + (last->x[2] - o[2]) * d[2]);
+    float t = t0 + (t1 - t0) * rng_f(r);
+    for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
+    grid_cell hc;
+    grid_find(&s->hull, x, &hc);
+    float want = 0.5f * grid_value(&s->hull, &hc, NULL);
+    if (want < 0.5f) return;
+    sdf_point e;
+    sdf_eval(s, job->c.finest, x, &e);
+    if (e.f >= want) return;
+    job->loss[thread].total += LAMBDA_FREE * huber(e.f - want, 2.0f);
+    sdf_back(s, thread, job->c.finest, &e, LAMBDA_FREE * huber_slope(e.f - want, 2.0f), NULL);
+}
+
+static void train_ray(step_job *job, int thread, rng *r)
+{
+    stage1 *s = job->s;
+    const schedule *c = &job->c;
+    stage1_losses *L = &job->loss[thread];
+    const world *w = s->w;
+    int photo = (int)rng_below(r, (uint32_t)w->nphotos);
+    const world_photo *p = &w->photos[photo];
+    int px = (int)rng_below(r, (uint32_t)p->w), py = (int)rng_below(r, (uint32_t)p->h);
+    int label = p->sky[py * p->w + px];
+    if (label > 200 && (rng_u32(r) & 1)) {      /* sky teaches little per ray: half of it is enough */
+        px = (int)rng_below(r, (uint32_t)p->w); py = (int)rng_below(r, (uint32_t)p->h);
+        label = p->sky[py * p->w + px];
+    }
+    int sky = label > 200, scene = label < 55;
+    float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
+    world_ray(p, px + 0.5, py + 0.5, d);
+    ray_sample *ray = job->ray[thread];
+    int n = ray_march(s, c, o, d, r, ray);
+    L->samples += n;
+    train_free(job, thread, r, o, d, n ? &ray[n - 1] : NULL);
+    float W = 0;
+    v8 H[2] = { { 0 } };
+    for (int k = 0; k < n; k++) {
+        ray_sample *q = &ray[k];
+        W += q->weight;
+        q->h[0] = q->h[1] = (v8){ 0 };
+        if (sky || q->weight < 1e-3f) continue;
+        for (int l = 0; l < FEAT_LEVELS; l++) {
+            grid_find(&s->feat[l], q->x, &q->fc[l]);
+            grid_vector(&s->feat[l], &q->fc[l], 2, q->h);
+        }
+        H[0] += q->weight * q->h[0];
+        H[1] += q->weight * q->h[1];
+    }
+    float g_w = 0;                              /* d loss / d W */
+    v8 dH[2] = { { 0 } };
+    size_t ci = grid_at(&s->codes, photo, 0, 0) * FEAT;
+    const float *code = s->codes.p + ci, *l = code, *gain = code + 4, *bias = code + 7, *back = code + 10;
+
+    if (sky || scene) {
+        float Wc = W < 1e-3f ? 1e-3f : W > 0.999f ? 0.999f : W;
+        float bce = sky ? -logf(1 - Wc) : -logf(Wc);
+        L->sky += bce;
+        L->total += LAMBDA_SKY * bce;
+        if (W == Wc) g_w += LAMBDA_SKY * (sky ? 1 / (1 - Wc) : -1 / Wc);
+    }
+    if (!sky) {
+        const float *h = (const float *)H;
+        float stat[3], C[3], target[3], lin[3];
+        for (int a = 0; a < 3; a++) {
+            lin[a] = h[a];
+            for (int j = 0; j < APPEARANCE; j++) lin[a] += l[j] * h[3 + 3 * j + a];
+            stat[a] = gain[a] * lin[a] + bias[a] * W + back[a] * (1 - W);
+            target[a] = p->rgb[3 * (py * p->w + px) + a] * (1.0f / 255.0f);
+        }
+        grid_cell tc;
+        v8 tv[1] = { { 0 } };
+        float at = 0, beta = BETA_MIN, sp = 0;
+        if (c->transient) {
+            float tx[3] = { (px + 0.5f) / TRANSIENT_PX, (py + 0.5f) / TRANSIENT_PX, (float)photo };
+            grid_find(&s->transient, tx, &tc);
+            grid_vector(&s->transient, &tc, 1, tv);
+            at = 1 / (1 + expf(3.0f - tv[0][0]));
+            sp = tv[0][4] > 15 ? tv[0][4] : log1pf(expf(tv[0][4]));
+            beta = BETA_MIN + at * 0.3f * sp;
+        }
+        float err2 = 0, dC[3], scale = BETA_MIN * BETA_MIN / (beta * beta);
+        for (int a = 0; a < 3; a++) {
+            C[a] = (1 - at) * stat[a] + at * (0.5f + tv[0][1 + a]);
+            float e = C[a] - target[a];
+            err2 += e * e;
+            dC[a] = 2 * e * scale;
+        }
+        L->mse += err2 / 3;
+        L->photo += err2 * scale;
+        L->total += err2 * scale;
+        L->transient += at;
+        if (c->transient) {
+            /* photometric * 2 beta_min^2: |C - C*|^2 scale + beta_min^2 * 2 ln(beta) + lambda * density */
+            float dbeta = -2 * err2 * scale / beta + 2 * BETA_MIN * BETA_MIN / beta;
+            float dat = dbeta * 0.3f * sp + LAMBDA_TRANSIENT / (1.001f - at);
+            L->total += BETA_MIN * BETA_MIN * 2 * logf(beta) - LAMBDA_TRANSIENT * logf(1.001f - at);
+            v8 dt[1] = { { 0 } };
+            for (int a = 0; a < 3; a++) {
+                dat += dC[a] * (0.5f + tv[0][1 + a] - stat[a]);
+                dt[0][1 + a] = dC[a] * at;
+            }
+            dt[0][0] = dat * at * (1 - at);
+            dt[0][4] = dbeta * at * 0.3f * (1 - expf(-sp));
+            grid_vector_back(&s->transient, thread, &tc, 1, dt);
+        }
+        float *gc = s->codes.g[thread] + ci, *dh = (float *)dH;
+        s->codes.dirty[thread][ci / FEAT / GRID_TILE] = 1;
+        for (int a = 0; a < 3; a++) {
+            float ds = dC[a] * (1 - at);
+            dh[a] = ds * gain[a];
+            for (int j = 0; j < APPEARANCE; j++) {
+                dh[3 + 3 * j + a] = ds * gain[a] * l[j];
+                gc[j] += ds * gain[a] * h[3 + 3 * j + a];
+            }
+            gc[4 + a] += ds * lin[a] + 1e-3f * (gain[a] - 1);
+            L->total += 0.5e-3 * (gain[a] - 1) * (gain[a] - 1);
+            gc[7 + a] += ds * W;
+            gc[10 + a] += ds * (1 - W);
+            g_w += ds * (bias[a] - back[a]);
+        }
+        for (int j = 0; j < APPEARANCE; j++) { gc[j] += 1e-4f * l[j]; L->total += 0.5e-4 * l[j] * l[j]; }
+    }
+
+    /* Reverse through the composition. */
+    float inv_s = 1 / c->sigma, later = 0, carry = 0;   /* later = sum_{j>k} g_j w_j; carry = d loss / d f_k from the sample behind it */
+    for (int k = n - 1; k >= 0; k--) {
+        ray_sample *q = &ray[k];
+        float g = g_w;
+        if (!sky && q->weight >= 1e-3f) {
+            v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
+            for (int a = 0; a < 8; a++) g += m[a];
+            v8 dh[2] = { q->weight * dH[0], q->weight * dH[1] };
+            for (int lv = 0; lv < FEAT_LEVELS; lv++) grid_vector_back(&s->feat[lv], thread, &q->fc[lv], 2, dh);
+        }
+        float ratio = 1 - q->alpha;
+        float da = g * q->trans - later / fmaxf(ratio, 1e-3f);
+        later += g * q->weight;
+        float df = carry;
+        carry = 0;
+        if (q->alpha > 0) {
+            df -= da * ratio * (1 - q->s_val) * inv_s;
+            if (q->chained) carry = da * ratio * (1 - ray[k - 1].s_val) * inv_s;
+        }
+        float norm = sqrtf(q->p.grad[0] * q->p.grad[0] + q->p.grad[1] * q->p.grad[1] + q->p.grad[2] * q->p.grad[2]) + 1e-6f;
+        float ek = LAMBDA_EIKONAL * 2 * (norm - 1) / norm;
+        L->eikonal += (norm - 1) * (norm - 1);
+        L->total += LAMBDA_EIKONAL * (norm - 1) * (norm - 1);
+        float dg[3] = { ek * q->p.grad[0], ek * q->p.grad[1], ek * q->p.grad[2] };
+        if (q->weight > 0.15f) {                /* normals vary slowly: compare with a point about a cell aside */
+            float step = c->finest == 0 ? 1.5f : c->finest == 1 ? 2.5f : 5.0f;
+            float y[3];
+            for (int a = 0; a < 3; a++) y[a] = q->x[a] + step * (2 * rng_f(r) - 1);
+            sdf_point b;
+            sdf_eval(s, c->finest, y, &b);
+            float db[3], ks = LAMBDA_SMOOTH * q->weight;
+            for (int a = 0; a < 3; a++) {
+                float diff = q->p.grad[a] - b.grad[a];
+                dg[a] += 2 * ks * diff;
+                db[a] = -2 * ks * diff;
+                L->total += ks * diff * diff;
+            }
+            sdf_back(s, thread, c->finest, &b, 0, db);
+        }
+        sdf_back(s, thread, c->finest, &q->p, df, dg);
+    }
+}
+
+/* An SfM observation: the point lies on the surface, the ray to it is free before. */
+static void train_point(step_job *job, int thread, rng *r)
+{
+    stage1 *s = job->s;
+    const schedule *c = &job->c;
+    const world *w = s->w;
+    if (!w->nobs) return;
+    const world_photo *p;
+    do p = &w->photos[rng_below(r, (uint32_t)w->nphotos)]; while (!p->obs_count && w->nobs);
+    const world_obs *o = &w->obs[p->obs_begin + rng_below(r, p->obs_count)];
+    const world_point *q = &w->points[o->point];
+    for (int a = 0; a < 3; a++) if (q->x[a] < 0 || q->x[a] > (float)w->frame.dims[a]) return;
+    sdf_point e;
+    sdf_eval(s, c->finest, q->x, &e);
+    float df = LAMBDA_POINT * q->weight * huber_slope(e.f, 2.0f);
+    job->loss[thread].points += fabsf(e.f);
+    job->loss[thread].total += LAMBDA_POINT * q->weight * huber(e.f, 2.0f);
+    sdf_back(s, thread, c->finest, &e, df, NULL);
+
+    float d[3], dist = 0;
+    for (int a = 0; a < 3; a++) { d[a] = (float)p->centre[a] - q->x[a]; dist += d[a] * d[a]; }
+    dist = sqrtf(dist);
+    float t = 3.0f + (dist - 3.0f) * rng_f(r) * rng_f(r), x[3];
+    if (dist < 6) return;
+    for (int a = 0; a < 3; a++) x[a] = q->x[a] + d[a] / dist * t;
+    for (int a = 0; a < 3; a++) if (x[a] < 0 || x[a] > (float)w->frame.dims[a]) return;
+    float want = fminf(0.3f * t, 2.0f * c->sigma);
+    sdf_eval(s, c->finest, x, &e);
+    if (e.f >= want) return;
+    job->loss[thread].total += LAMBDA_POINT * q->weight * huber(e.f - want, 2.0f);
+    sdf_back(s, thread, c->finest, &e, LAMBDA_POINT * q->weight * huber_slope(e.f - want, 2.0f), NULL);
+}
+
+static void step_range(void *user, int begin, int end)
+{
+    step_job *job = user;
+    stage1 *s = job->s;
+    for (int t = begin; t < end; t++) {
+        rng r = rng_make(s->opt.seed, (uint64_t)s->step, (uint64_t)t);
+        int T = s->opt.threads;
+        int rays = (int)((int64_t)s->opt.rays * (t + 1) / T - (int64_t)s->opt.rays * t / T);
+        for (int i = 0; i < rays; i++) {
+            train_ray(job, t, &r);
+            if ((i & 3) == 0) train_point(job, t, &r);
+        }
+    }
+}
+
+void stage1_gradients(stage1 *s, stage1_losses *out)
+{
+    step_job job = { .s = s, .c = schedule_at(s) };
+    int T = s->opt.threads;
+    static ray_sample *scratch[GRID_THREADS];
+    for (int t = 0; t < T; t++) {
+        if (!scratch[t]) scratch[t] = aligned_alloc(64, (MAX_SAMPLES * sizeof(ray_sample) + 63) & ~(size_t)63);
+        job.ray[t] = scratch[t];
+    }
+    orl_parallel(T, T, 1, step_range, &job);
+    memset(out, 0, sizeof *out);
+    for (int t = 0; t < T; t++) {
+        const double *a = (const double *)&job.loss[t];
+        double *b = (double *)out;
+        for (size_t i = 0; i < sizeof *out / sizeof(double); i++) b[i] += a[i];
+    }
+    double inv = 1.0 / s->opt.rays;
+    out->photo *= inv; out->sky *= inv; out->mse *= inv; out->transient *= inv; out->points *= 4 * inv;
+    out->eikonal /= out->samples > 0 ? out->samples : 1;
+}
+
+void stage1_step(stage1 *s, stage1_losses *out)
+{
+    schedule c = schedule_at(s);
+    int T = s->opt.threads;
+    stage1_gradients(s, out);
+    static const float LR[SDF_LEVELS] = { 0.03f, 0.04f, 0.06f, 0.08f };
+    for (int l = c.finest; l < SDF_LEVELS; l++) grid_adam(&s->sdf[l], LR[l] * c.lr, T);
+    for (int l = 0; l < FEAT_LEVELS; l++) grid_adam(&s->feat[l], 0.012f * (0.2f + 0.8f * c.lr), T);
+    grid_adam(&s->codes, 0.004f * c.lr, T);
+    grid_adam(&s->transient, 0.03f, T);
+    s->step++;
+}
+
+float stage1_sdf(const stage1 *s, const float x[3], float grad[3])
+{
+    sdf_point p;
+    sdf_eval(s, 0, x, &p);
+    if (grad) memcpy(grad, p.grad, sizeof p.grad);
+    return p.f;
+}
+
+void stage1_colour(const stage1 *s, int photo, const float x[3], float rgb[3])
+{
+    v8 H[2] = { { 0 } };
+    for (int l = 0; l < FEAT_LEVELS; l++) {
+        grid_cell c;
+        grid_find(&s->feat[l], x, &c);
+        grid_vector(&s->feat[l], &c, 2, H);
+    }
+    const float *h = (const float *)H, *code = s->codes.p + grid_at(&s->codes, photo, 0, 0) * FEAT;
+    for (int a = 0; a < 3; a++) {
+        float v = h[a];
+        for (int j = 0; j < APPEARANCE; j++) v += code[j] * h[3 + 3 * j + a];
+        v = code[4 + a] * v + code[7 + a];
+        rgb[a] = v < 0 ? 0 : v > 1 ? 1 : v;
+    }
+}
+
+float stage1_transient(const stage1 *s, int photo, float u, float v)
+{
+    grid_cell c;
+    v8 tv[1] = { { 0 } };
+    float x[3] = { u / TRANSIENT_PX, v / TRANSIENT_PX, (float)photo };
+    grid_find(&s->transient, x, &c);
+    grid_vector(&s->transient, &c, 1, tv);
+    return 1 / (1 + expf(3.0f - tv[0][0]));
+}

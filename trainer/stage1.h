@@ -1,0 +1,42 @@
+/* Stage 1: geometry by volume rendering over an SDF, with appearance codes and a transient branch. */
+#ifndef TRAINER_STAGE1_H
+#define TRAINER_STAGE1_H
+#include "trainer/grid.h"
+#include "trainer/world.h"
+
+enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8 };
+
+typedef struct {
+    int rays;                       /* per step */
+    int steps;
+    uint64_t seed;
+    int threads;
+} stage1_options;
+
+/* Losses of one step, means over its rays (for progress lines). */
+typedef struct { double photo, sky, eikonal, points, mse, transient; double samples, total; } stage1_losses;   /* total: the very function that is differentiated */
+
+typedef struct {
+    const world *w;
+    stage1_options opt;
+    int step;
+    grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
+    grid hull;                      /* the first SDF, kept: what SfM and sky have carved stays free */
+    grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
+    grid codes;                     /* per photo: appearance code 0..3, gain 4..6, bias 7..9, background 10..12 */
+    grid transient;                 /* per photo, every 8 pixels: logit of alpha, RGB, beta before softplus */
+} stage1;
+
+orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt);
+void stage1_free(stage1 *s);
+/* One optimisation step; repeatable for seed, step and thread count. */
+void stage1_step(stage1 *s, stage1_losses *out);
+/* Its first half: losses of the step's batch, gradients left in the grids (tests compare them with finite differences). */
+void stage1_gradients(stage1 *s, stage1_losses *out);
+/* Sum of all SDF levels at a point (fine cells) and its gradient (may be NULL). */
+float stage1_sdf(const stage1 *s, const float x[3], float grad[3]);
+/* Static branch at a surface point in photo k's appearance: the occlusion-free colour, sRGB 0..1. */
+void stage1_colour(const stage1 *s, int photo, const float x[3], float rgb[3]);
+/* Transient share of a pixel, 0..1. */
+float stage1_transient(const stage1 *s, int photo, float u, float v);
+#endif

@@ -1,0 +1,403 @@
+/* Stage 2 (Zhao, Yang et al., MM 2022, section 3.3): alternates between the photos' codes, found by the very Gauss-Newton that adapts new photos, and Adam steps on what the photos share.
+ * Pixels are reduced to surface points once; for an opaque surface and an affine tone this deferred form equals the volume-rendered one. Targets: the photo where stage 1 found no transient,
+ * the static branch's occlusion-free colour elsewhere. */
+#include "trainer/stage2.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+
+static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 };
+enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200 };
+
+static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, uint32_t *count)
+{
+    const world_photo *p = &s->w->photos[k];
+    rng r = rng_make(s->opt.seed, 0x9b0f, (uint64_t)k);
+    float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
+    uint32_t n = 0;
+    int sky_left = s->opt.pixels / 5;
+    for (int tries = 0; tries < 2 * s->opt.pixels && n < (uint32_t)s->opt.pixels; tries++) {
+        int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = p->sky[y * p->w + x];
+        int sky = label > 200;
+        if (sky && sky_left == 0) continue;
+        world_ray(p, x + 0.5, y + 0.5, d);
+        surface_hit h;
+        int hit = surface_march(s->surf, o, d, &h);
+        if (hit == sky || (!hit && label > 55 && !sky)) continue;
+        stage2_pixel *q = &out[n];
+        memset(q, 0, sizeof *q);
+        float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
+        memcpy(q->rgb, p->rgb + 3 * (y * p->w + x), 3);
+        if (sky) {
+            if (at > 0.5f) continue;
+            memcpy(q->x, d, sizeof d);
+            q->weight = 255;
+            sky_left--;
+            n++;
+            continue;
+        }
+        if (!hit) continue;
+        q->surface = 1;
+        memcpy(q->x, h.x, sizeof h.x);
+        memcpy(q->n, h.n, sizeof h.n);
+        float teacher[3], diff = 0;
+        stage1_colour(s1, k, h.x, teacher);
+        for (int a = 0; a < 3; a++) diff += fabsf(teacher[a] - q->rgb[a] / 255.0f);
+        q->weight = 255;
+        if (at > 0.5f || diff > 0.9f) {
+            for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
+            q->weight = 64;
+        }
+        grid_cell c;
+        v8 v[3] = { { 0 } };
+        grid_find(&s->surf->lite, h.x, &c);
+        grid_vector(&s->surf->lite, &c, 3, v);
+        const float *f = (const float *)v;
+        q->open = (uint8_t)(fminf(fmaxf(f[0], 0), 1) * 255.0f + 0.5f);
+        for (int a = 0; a < ORL_HORIZON; a++) q->horizon[a] = (uint8_t)(fminf(f[1 + a] * (1 / 1.5707963f), 1) * 255.0f + 0.5f);
+        n++;
+    }
+    *count = n;
+}
+
+typedef struct { stage2 *s; const stage1 *s1; uint32_t *count; } pixel_job;
+
+static void pixel_range(void *user, int begin, int end)
+{
+    pixel_job *j = user;
+    for (int k = begin; k < end; k++) fill_pixels(j->s, j->s1, k, j->s->px + (size_t)k * (size_t)j->s->opt.pixels, &j->count[k]);
+}
+
+/* Starts that break the saddle where a code and its basis are both zero. */
+static void sky_generator_start(orl_light_model *m)
+{
+    const int own = ORL_SKY_Q - ORL_SKY_DIM;
+    for (int c = 0; c < 3; c++) {
+        m->sky_gen[own + 0][c][0] = 0.12f;                              /* brighter */
+        m->sky_gen[own + 1][c][0] = c == 0 ? 0.1f : c == 2 ? -0.1f : 0;  /* warmer */
+        m->sky_gen[own + 2][c][3] = 0.15f;                              /* brighter upwards */
+        m->sky_gen[own + 3][c][1] = 0.15f;                              /* brighter towards the sun's azimuth */
+    }
+}
+
+orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1 *s1, const orl_light_model *light, const stage2_options *opt)
+{
+    memset(s, 0, sizeof *s);
+    s->w = w;
+    s->surf = surf;
+    s->opt = *opt;
+    if (light) s->light = *light;
+    orl_err e = ORL_OK;
+    for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_init(&s->albedo[l], surf->f.dims, ALBEDO_CELL[l], 4, opt->threads);
+    if (!e) e = grid_init(&s->shadow, surf->f.dims, 4, ORL_SHADOW_DIM, opt->threads);
+    if (e || !s1) { if (e) stage2_free(s); return e; }
+    sky_generator_start(&s->light);
+    size_t n = (size_t)w->nphotos;
+    s->codes = calloc(n, sizeof *s->codes);
+    s->begin = calloc(n + 1, sizeof *s->begin);
+    s->px = malloc((n * (size_t)opt->pixels + 1) * sizeof *s->px);
+    s->adam = calloc(2 * SHARED, sizeof *s->adam);
+    uint32_t *count = calloc(n, sizeof *count);
+    if (!s->codes || !s->begin || !s->px || !s->adam || !count) { free(count); stage2_free(s); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu photos", n); }
+    for (size_t k = 0; k < n; k++) memcpy(s->codes[k], s->light.prior_mean, sizeof s->codes[k]);
+    pixel_job j = { s, s1, count };
+    orl_parallel(opt->threads, w->nphotos, 1, pixel_range, &j);
+    for (size_t k = 0; k < n; k++) {
+        memmove(s->px + s->begin[k], s->px + k * (size_t)opt->pixels, count[k] * sizeof *s->px);
+        s->begin[k + 1] = s->begin[k] + count[k];
+    }
+    free(count);
+    /* Coarsest base colour 0.4 everywhere, also where no photo reaches; shadow features start as long waves. */
+    grid *g = &s->albedo[ALBEDO_LEVELS - 1];
+    for (size_t i = 0; i < g->nverts; i++) {
+        for (int c = 0; c < 3; c++) g->p[4 * i + (size_t)c] = 0.4f;
+        grid_mark(g, i);
+    }
+    rng r = rng_make(opt->seed, 0x54ad, 0);
+    float wave[ORL_SHADOW_DIM][4], longest = (float)surf->f.dims[0];
+    for (int q = 0; q < ORL_SHADOW_DIM; q++) for (int a = 0; a < 4; a++) wave[q][a] = rng_normal(&r) * (a < 3 ? 12.0f / longest : 3.0f);
+    for (size_t b = 0; b < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; b++) {
+        if (surf->bmap[b] < 0) continue;
+        int o[3] = { (int)(b % (size_t)surf->nb[0]) * 2, (int)(b / (size_t)surf->nb[0] % (size_t)surf->nb[1]) * 2, (int)(b / ((size_t)surf->nb[0] * (size_t)surf->nb[1])) * 2 };
+        for (int v = 0; v < ORL_LITE_VERTS; v++) {
+            int x = o[0] + v % 3, y = o[1] + v / 3 % 3, z = o[2] + v / 9;
+            size_t at = grid_at(&s->shadow, x, y, z);
+            for (int q = 0; q < ORL_SHADOW_DIM; q++)
+                s->shadow.p[at * ORL_SHADOW_DIM + (size_t)q] = 0.5f * sinf(4.0f * (wave[q][0] * (float)x + wave[q][1] * (float)y + wave[q][2] * (float)z) + wave[q][3]);
+            grid_mark(&s->shadow, at);
+        }
+    }
+    return ORL_OK;
+}
+
+void stage2_free(stage2 *s)
+{
+    for (int l = 0; l < ALBEDO_LEVELS; l++) grid_free(&s->albedo[l]);
+    grid_free(&s->shadow);
+    free(s->codes);
+    free(s->begin);
+    free(s->px);
+    free(s->adam);
+    memset(s, 0, sizeof *s);
+}
+
+typedef struct { grid_cell a[ALBEDO_LEVELS], s; int clamped; } cells;
+
+static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
+{
+    v4 a = { 0 };
+    v8 phi[1] = { { 0 } };
+    for (int l = 0; l < ALBEDO_LEVELS; l++) {
+        grid_find(&s->albedo[l], x, &c->a[l]);
+        grid_vector4(&s->albedo[l], &c->a[l], &a);
+    }
+    grid_find(&s->shadow, x, &c->s);
+    grid_vector(&s->shadow, &c->s, 1, phi);
+    for (int k = 0; k < 3; k++) o->albedo[k] = a[k] < 0.02f ? 0.02f : a[k] > 1.0f ? 1.0f : a[k];
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) o->phi[k] = phi[0][k];
+}
+
+void stage2_albedo(const stage2 *s, const float x[3], float rgb[3])
+{
+    orl_sample o;
+    cells c;
+    look_up(s, x, &o, &c);
+    memcpy(rgb, o.albedo, sizeof o.albedo);
+}
+
+void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out)
+{
+    cells c;
+    look_up(s, x, out, &c);
+    memcpy(out->normal, n, sizeof out->normal);
+    v8 v[3] = { { 0 } };
+    grid_cell lc;
+    grid_find(&s->surf->lite, x, &lc);
+    grid_vector(&s->surf->lite, &lc, 3, v);
+    const float *f = (const float *)v;
+    out->open = fminf(fmaxf(f[0], 0), 1);
+    memcpy(out->horizon, f + 1, sizeof out->horizon);
+    out->cov = 1;
+}
+
+static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, cells *c)
+{
+    memset(o, 0, sizeof *o);
+    for (int a = 0; a < 3; a++) o->rgb[a] = q->rgb[a] * (1.0f / 255.0f);
+    o->weight = q->weight * (1.0f / 255.0f);
+    if (!q->surface) {
+        memcpy(o->dir, q->x, sizeof o->dir);
+        return;
+    }
+    look_up(s, q->x, o, c);
+    memcpy(o->normal, q->n, sizeof o->normal);
+    o->open = q->open * (1.0f / 255.0f);
+    for (int a = 0; a < ORL_HORIZON; a++) o->horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
+    o->cov = 1;
+}
+
+typedef struct { stage2 *s; int cold, err; double rms[GRID_THREADS]; int degenerate[GRID_THREADS]; } code_job;
+
+static void code_photos(void *user, int begin, int end)
+{
+    code_job *j = user;
+    stage2 *s = j->s;
+    for (int t = begin; t < end; t++) {
+        size_t bytes = (orl_adapt_need() + 63) & ~(size_t)63;
+        void *work = aligned_alloc(64, bytes);
+        orl_sample *smp = malloc(ADAPT_SAMPLES * sizeof *smp);
+        if (!work || !smp) { free(work); free(smp); continue; }
+        for (int k = t; k < s->w->nphotos; k += s->opt.threads) {
+            uint32_t n = s->begin[k + 1] - s->begin[k], use = n < ADAPT_SAMPLES ? n : ADAPT_SAMPLES;
+            rng r = rng_make(s->opt.seed, 0xada0 + (uint64_t)s->round, (uint64_t)k);
+            for (uint32_t i = 0; i < use; i++) {
+                cells c;
+                make_sample(s, &s->px[s->begin[k] + rng_below(&r, n)], &smp[i], &c);
+            }
+            orl_adapt_options opt = orl_adapt_defaults();
+            if (!j->cold) opt.max_iterations = 3;
+            orl_adapt_result res;
+            memset(&res, 0, sizeof res);
+            if (orl_adapt(&s->light, smp, use, j->cold ? NULL : s->codes[k], &opt, work, bytes, &res)) continue;
+            if (res.status == ORL_ADAPT_DEGENERATE) j->degenerate[t]++;
+            memcpy(s->codes[k], res.code, sizeof res.code);
+            j->rms[t] += res.rms;
+        }
+        free(work);
+        free(smp);
+    }
+}
+
+typedef struct { stage2 *s; int step; float *shared[GRID_THREADS]; double mse[GRID_THREADS], weight[GRID_THREADS]; orl_light *lights; } grad_job;
+
+static void grad_photos(void *user, int begin, int end)
+{
+    grad_job *j = user;
+    stage2 *s = j->s;
+    for (int t = begin; t < end; t++)
+        for (int k = t; k < s->w->nphotos; k += s->opt.threads) {
+            uint32_t n = s->begin[k + 1] - s->begin[k];
+            const orl_light *light = &j->lights[k];
+            float d_ground[3] = { 0 }, d_sky[3][ORL_SKY_Y] = { { 0 } };
+            for (uint32_t i = (uint32_t)j->step; i < n; i += (uint32_t)s->opt.steps) {
+                orl_sample o;
+                cells c;
+                const stage2_pixel *q = &s->px[s->begin[k] + i];
+                make_sample(s, q, &o, &c);
+                float rgb[3], d[3], err2 = 0, d_albedo[3] = { 0 }, d_phi[ORL_SHADOW_DIM] = { 0 };
+                orl_light_shade(light, &o, rgb);
+                for (int a = 0; a < 3; a++) {
+                    float e = rgb[a] - o.rgb[a];
+                    if (q->rgb[a] >= 250 && e > 0) e = 0;       /* saturated: brighter is as good */
+                    d[a] = e;
+                    err2 += e * e;
+                }
+                float rob = 0.15f * 0.15f / (err2 + 0.15f * 0.15f), scale = 2 * o.weight * rob * rob;
+                j->mse[t] += o.weight * err2 / 3;
+                j->weight[t] += o.weight;
+                for (int a = 0; a < 3; a++) d[a] *= scale;
+                orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
+                if (!q->surface) continue;
+                v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
+                for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da);
+                v8 dp[1];
+                for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + 1e-4f * o.phi[a];
+                grid_vector_back(&s->shadow, t, &c.s, 1, dp);
+            }
+            float *g = j->shared[t], q[ORL_SKY_Q] = { 1, light->code[ORL_C_SUN_EL] };
+            memcpy(q + 2, light->code + ORL_C_ENV, (ORL_ENV_DIM + ORL_SKY_DIM) * sizeof(float));
+            for (int b = 0; b < ORL_SKY_Q; b++) for (int a = 0; a < 3; a++) for (int y = 0; y < ORL_SKY_Y; y++) *g++ += q[b] * d_sky[a][y];
+            for (int a = 0; a < 3; a++) *g++ += d_ground[a];
+        }
+}
+
+void stage2_round(stage2 *s, stage2_losses *out)
+{
+    int T = s->opt.threads, R = s->opt.rounds;
+    code_job cj = { .s = s, .cold = s->round == 0 || s->round == R / 10 || s->round == R / 4 || s->round == R / 2 };
+    orl_parallel(T, T, 1, code_photos, &cj);
+    static orl_light *lights;
+    static int lights_n;
+    if (lights_n < s->w->nphotos) { free(lights); lights = malloc((size_t)s->w->nphotos * sizeof *lights); lights_n = s->w->nphotos; }
+    float shared[GRID_THREADS][SHARED];
+    double mse = 0, weight = 0;
+    float decay = expf(logf(0.1f) * (float)s->round / (float)(R > 0 ? R : 1));
+    for (int step = 0; step < s->opt.steps; step++) {
+        grad_job gj = { .s = s, .step = step, .lights = lights };
+        for (int k = 0; k < s->w->nphotos; k++) if (step == 0) orl_light_decode(&s->light, s->codes[k], &lights[k]);
+        memset(shared, 0, sizeof shared);
+        for (int t = 0; t < T; t++) gj.shared[t] = shared[t];
+        orl_parallel(T, T, 1, grad_photos, &gj);
+        for (int t = 0; t < T; t++) { mse += gj.mse[t]; weight += gj.weight[t]; }
+        static const float LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f };
+        for (int l = 0; l < ALBEDO_LEVELS; l++) grid_adam(&s->albedo[l], LR[l] * decay, T);
+        grid_adam(&s->shadow, 0.02f * decay, T);
+        float *sky = &s->light.sky_gen[0][0][0], *m = s->adam, *v = s->adam + SHARED;
+        for (int i = 0; i < SHARED; i++) {
+            float g = 0;
+            for (int t = 0; t < T; t++) g += shared[t][i];
+            m[i] = 0.9f * m[i] + 0.1f * g;
+            v[i] = 0.99f * v[i] + 0.01f * g * g;
+            float up = decay * 0.004f * m[i] / (sqrtf(v[i]) + 1e-9f);
+            if (i < SHARED - 3) sky[i] -= up;
+            else {
+                float *gr = &s->light.ground[i - (SHARED - 3)];
+                *gr = fminf(fmaxf(*gr - up, 0.02f), 0.9f);
+            }
+        }
+    }
+    memset(out, 0, sizeof *out);
+    for (int t = 0; t < T; t++) { out->adapt_rms += cj.rms[t]; out->degenerate += cj.degenerate[t]; }
+    out->adapt_rms /= s->w->nphotos;
+    out->mse = mse / (weight > 0 ? weight : 1);
+    s->round++;
+}
+
+/* Symmetric positive definite inverse by Cholesky, in place; 0 if singular. */
+static int invert(double a[ORL_CODE][ORL_CODE])
+{
+    enum { N = ORL_CODE };
+    static double l[N][N], x[N][N];
+    memset(l, 0, sizeof l);
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j <= i; j++) {
+            double s = a[i][j];
+            for (int k = 0; k < j; k++) s -= l[i][k] * l[j][k];
+            if (i == j) { if (!(s > 1e-12)) return 0; l[i][i] = sqrt(s); }
+            else l[i][j] = s / l[j][j];
+        }
+    for (int c = 0; c < N; c++) {
+        double y[N];
+        for (int i = 0; i < N; i++) {
+            double s = i == c;
+            for (int k = 0; k < i; k++) s -= l[i][k] * y[k];
+            y[i] = s / l[i][i];
+        }
+        for (int i = N - 1; i >= 0; i--) {
+            double s = y[i];
+            for (int k = i + 1; k < N; k++) s -= l[k][i] * x[k][c];
+            x[i][c] = s / l[i][i];
+        }
+    }
+    memcpy(a, x, sizeof x);
+    return 1;
+}
+
+void stage2_prior(stage2 *s)
+{
+    int n = s->w->nphotos;
+    static double cov[ORL_CODE][ORL_CODE], old[ORL_CODE][ORL_CODE];
+    double mean[ORL_CODE] = { 0 };
+    for (int i = 0; i < ORL_CODE; i++) for (int j = 0; j < ORL_CODE; j++) old[i][j] = s->light.prior_prec[i][j] + (i == j ? 1e-4 : 0);
+    if (!invert(old)) return;
+    for (int k = 0; k < n; k++) for (int i = 0; i < ORL_CODE; i++) mean[i] += s->codes[k][i] / n;
+    for (int k = 0; k < n; k++)
+        for (int i = 0; i < ORL_CODE; i++)
+            for (int j = 0; j < ORL_CODE; j++) cov[i][j] += 0;
+    memset(cov, 0, sizeof cov);
+    for (int k = 0; k < n; k++)
+        for (int i = 0; i < ORL_CODE; i++)
+            for (int j = 0; j < ORL_CODE; j++) cov[i][j] += (s->codes[k][i] - mean[i]) * (s->codes[k][j] - mean[j]) / n;
+    /* Weight of the decoder's prior as if it were 12 photos; correlations are trusted half. */
+    double a = n / (n + 12.0);
+    for (int i = 0; i < ORL_CODE; i++)
+        for (int j = 0; j < ORL_CODE; j++) {
+            double emp = i == j ? cov[i][j] : 0.5 * cov[i][j];
+            double lo = i == j ? 1e-4 : 0;
+            cov[i][j] = a * emp + (1 - a) * old[i][j] + lo;
+        }
+    for (int i = 0; i < ORL_CODE; i++) s->light.prior_mean[i] = (float)(a * mean[i] + (1 - a) * s->light.prior_mean[i]);
+    for (int j = 0; j < ORL_CODE; j++) if (j != ORL_C_SUN_AZ) cov[ORL_C_SUN_AZ][j] = cov[j][ORL_C_SUN_AZ] = 0;    /* azimuth: any */
+    cov[ORL_C_SUN_AZ][ORL_C_SUN_AZ] = 1;
+    s->light.prior_mean[ORL_C_SUN_AZ] = 0;
+    if (!invert(cov)) return;
+    for (int i = 0; i < ORL_CODE; i++)
+        for (int j = 0; j < ORL_CODE; j++) s->light.prior_prec[i][j] = (float)(0.5 * (cov[i][j] + cov[j][i]));
+    s->light.prior_prec[ORL_C_SUN_AZ][ORL_C_SUN_AZ] = 1e-4f;
+}
+
+orl_err stage2_save(const stage2 *s, FILE *f, int moments)
+{
+    int n = s->codes ? s->w->nphotos : 0;
+    int bad = fwrite(&s->light, sizeof s->light, 1, f) != 1 || fwrite(&s->round, sizeof s->round, 1, f) != 1 || fwrite(&n, sizeof n, 1, f) != 1;
+    bad |= n && fwrite(s->codes, sizeof *s->codes, (size_t)n, f) != (size_t)n;
+    if (moments) bad |= fwrite(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED;
+    orl_err e = bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
+    for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_save(&s->albedo[l], f, moments);
+    return e ? e : grid_save(&s->shadow, f, moments);
+}
+
+orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path)
+{
+    int n, expect = s->codes ? s->w->nphotos : -1;
+    if (fread(&s->light, sizeof s->light, 1, f) != 1 || fread(&s->round, sizeof s->round, 1, f) != 1 || fread(&n, sizeof n, 1, f) != 1)
+        return orl_fail(ORL_E_FORMAT, "%s: stage 2 header is cut short", path);
+    if (n < 0 || n > 1000000 || (expect >= 0 && n != expect)) return orl_fail(ORL_E_RANGE, "%s: %d codes for %d photos", path, n, expect);
+    if (!s->codes) s->codes = malloc(((size_t)n + 1) * sizeof *s->codes);
+    if (!s->codes || fread(s->codes, sizeof *s->codes, (size_t)n, f) != (size_t)n) return orl_fail(ORL_E_FORMAT, "%s: codes are cut short", path);
+    if (moments && fread(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED) return orl_fail(ORL_E_FORMAT, "%s: stage 2 moments are cut short", path);
+    orl_err e = ORL_OK;
+    for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_load(&s->albedo[l], f, moments, path);
+    return e ? e : grid_load(&s->shadow, f, moments, path);
+}

@@ -1,0 +1,46 @@
+/* Stage 2: geometry frozen; base colour, shadow features, sky generator, ground and every photo's codes. */
+#ifndef TRAINER_STAGE2_H
+#define TRAINER_STAGE2_H
+#include "oriel/adapt.h"
+#include "trainer/surface.h"
+
+enum { ALBEDO_LEVELS = 3 };
+
+/* A pixel of a training photo, reduced to what light needs. */
+typedef struct {
+    float x[3], n[3];               /* surface point and normal; sky: x = direction */
+    uint8_t open, horizon[ORL_HORIZON];
+    uint8_t rgb[3];                 /* target */
+    uint8_t weight, surface;        /* weight / 255; 1 surface, 0 sky */
+} stage2_pixel;
+
+typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo; steps per round */
+typedef struct { double mse, shadow, adapt_rms; int degenerate; } stage2_losses;
+
+typedef struct {
+    const world *w;
+    const surface *surf;
+    stage2_options opt;
+    int round;
+    orl_light_model light;
+    grid albedo[ALBEDO_LEVELS];     /* cells of 1, 4, 16; RGB linear, summed */
+    grid shadow;                    /* cell 4: 8 features */
+    float (*codes)[ORL_CODE];       /* per training photo */
+    uint32_t *begin;                /* pixels of photo k: [begin[k], begin[k + 1]) */
+    stage2_pixel *px;
+    float *adam;                    /* moments of sky generator and ground */
+} stage2;
+
+/* s1 may be NULL (evaluation: only grids are set up, no pixels). */
+orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1 *s1, const orl_light_model *light, const stage2_options *opt);
+void stage2_free(stage2 *s);
+/* One round: adapt every photo's codes (Gauss-Newton, as at run time), then gradient steps on what the photos share. */
+void stage2_round(stage2 *s, stage2_losses *out);
+/* Gaussian prior from the training codes, shrunk towards the decoder's. */
+void stage2_prior(stage2 *s);
+/* Fills albedo, phi, open, horizon of a surface sample at x with normal n. */
+void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out);
+void stage2_albedo(const stage2 *s, const float x[3], float rgb[3]);
+orl_err stage2_save(const stage2 *s, FILE *f, int moments);
+orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path);
+#endif

@@ -1,0 +1,31 @@
+/* The surface after stage 1: one float SDF in bricks of 8^3 cells (the same bricks that the scene file stores), with what light needs to know of its shape. */
+#ifndef TRAINER_SURFACE_H
+#define TRAINER_SURFACE_H
+#include "oriel/scene.h"
+#include "trainer/grid.h"
+#include "trainer/stage1.h"
+
+typedef struct {
+    frame f;
+    int nb[3];
+    uint32_t nbricks;
+    int32_t *bmap;                  /* as orl_scene.bmap */
+    float *sdf;                     /* [nbricks][729], fine cells */
+    grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
+} surface;
+
+typedef struct { float x[3], n[3], t; } surface_hit;
+
+/* Collapses stage 1's levels into bricks around the zero set. */
+orl_err surface_build(const stage1 *s, surface *out);
+/* Drops bricks that no training ray hits (nor any neighbour of such a brick): nobody saw them. */
+orl_err surface_prune(surface *s, const world *w, int threads);
+/* Openness and horizons on the light vertices of every brick, traced on the surface itself. */
+orl_err surface_light(surface *s, int threads);
+void surface_free(surface *s);
+/* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
+int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
+float surface_value(const surface *s, const float x[3]);
+orl_err surface_save(const surface *s, FILE *f);
+orl_err surface_load(surface *s, FILE *f, const char *path);
+#endif

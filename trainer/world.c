@@ -1,0 +1,261 @@
+/* Loads the training set and fixes the scene's frame: up from the cameras (the direction most orthogonal to their x axes), box and scale from the SfM points. */
+#include "trainer/world.h"
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+#include "oriel/skymask.h"
+
+void frame_apply(const frame *f, const double w[3], double g[3])
+{
+    for (int i = 0; i < 3; i++) g[i] = f->scale * (f->R[3 * i] * w[0] + f->R[3 * i + 1] * w[1] + f->R[3 * i + 2] * w[2]) + f->offset[i];
+}
+
+void world_ray(const world_photo *p, double u, double v, float dir[3])
+{
+    double c[3];
+    orl_camera_unproject(&p->cam, u, v, c);
+    double n = 1.0 / sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
+    for (int i = 0; i < 3; i++) dir[i] = (float)((p->axes[3 * i] * c[0] + p->axes[3 * i + 1] * c[1] + p->axes[3 * i + 2] * c[2]) * n);
+}
+
+int world_project(const world_photo *p, const float x[3], double uv[2], double *depth)
+{
+    double d[3] = { x[0] - p->centre[0], x[1] - p->centre[1], x[2] - p->centre[2] }, c[3];
+    for (int i = 0; i < 3; i++) c[i] = p->axes[i] * d[0] + p->axes[3 + i] * d[1] + p->axes[6 + i] * d[2];
+    if (depth) *depth = c[2];
+    return orl_camera_project(&p->cam, c, uv);
+}
+
+int box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1)
+{
+    float a = 0, b = 1e30f;
+    for (int i = 0; i < 3; i++) {
+        float inv = fabsf(d[i]) > 1e-9f ? 1.0f / d[i] : 1e9f;
+        float lo = (0.01f - o[i]) * inv, hi = ((float)dims[i] - 0.01f - o[i]) * inv;
+        if (lo > hi) { float s = lo; lo = hi; hi = s; }
+        if (lo > a) a = lo;
+        if (hi < b) b = hi;
+    }
+    *t0 = a;
+    *t1 = b;
+    return a < b;
+}
+
+/* Smallest eigenvector of a symmetric 3 x 3 by inverse power iteration on the shifted matrix. */
+static void smallest_axis(const double m[9], double v[3])
+{
+    double a[9], tr = m[0] + m[4] + m[8];
+    for (int i = 0; i < 9; i++) a[i] = (i % 4 == 0 ? tr : 0) - m[i];
+    v[0] = 0.3; v[1] = 0.5; v[2] = 0.8;
+    for (int k = 0; k < 500; k++) {
+        double r[3], n = 0;
+        for (int i = 0; i < 3; i++) { r[i] = a[3 * i] * v[0] + a[3 * i + 1] * v[1] + a[3 * i + 2] * v[2]; n += r[i] * r[i]; }
+        n = n > 0 ? 1.0 / sqrt(n) : 0;
+        for (int i = 0; i < 3; i++) v[i] = r[i] * n;
+    }
+}
+
+static int by_double(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double percentile(double *v, int n, double q)
+{
+    qsort(v, (size_t)n, sizeof *v, by_double);
+    return v[(int)(q * (n - 1) + 0.5)];
+}
+
+static orl_err place(const orl_dataset *d, int longest, frame *f)
+{
+    double xx[9] = { 0 }, ydown[3] = { 0 }, up[3];
+    int ncam = 0;
+    for (uint32_t i = 0; i < d->nphotos; i++) {
+        if (d->photos[i].test) continue;
+        const double *R = d->photos[i].pose.R;
+        for (int a = 0; a < 3; a++) {
+            for (int b = 0; b < 3; b++) xx[3 * a + b] += R[a] * R[b];
+            ydown[a] += R[3 + a];
+        }
+        ncam++;
+    }
+    if (ncam < 2 || d->npoints < 16) return orl_fail(ORL_E_DEGENERATE, "%s: %d training photos and %u points are too few", d->dir, ncam, d->npoints);
+    smallest_axis(xx, up);
+    if (up[0] * ydown[0] + up[1] * ydown[1] + up[2] * ydown[2] > 0) for (int a = 0; a < 3; a++) up[a] = -up[a];
+    double x[3] = { 1, 0, 0 }, y[3];
+    if (fabs(up[0]) > 0.9) { x[0] = 0; x[1] = 1; }
+    double dot = x[0] * up[0] + x[1] * up[1] + x[2] * up[2], n = 0;
+    for (int a = 0; a < 3; a++) { x[a] -= dot * up[a]; n += x[a] * x[a]; }
+    for (int a = 0; a < 3; a++) x[a] /= sqrt(n);
+    /* Turn about up so that the mean viewing direction is +y: facades then lie along the grid's axes more often than not. */
+    double look[3] = { 0 };
+    for (uint32_t i = 0; i < d->nphotos; i++) if (!d->photos[i].test) for (int a = 0; a < 3; a++) look[a] += d->photos[i].pose.R[6 + a];
+    dot = look[0] * up[0] + look[1] * up[1] + look[2] * up[2];
+    n = 0;
+    for (int a = 0; a < 3; a++) { look[a] -= dot * up[a]; n += look[a] * look[a]; }
+    if (n > 1e-6 * ncam) {
+        for (int a = 0; a < 3; a++) y[a] = look[a] / sqrt(n);
+        x[0] = y[1] * up[2] - y[2] * up[1]; x[1] = y[2] * up[0] - y[0] * up[2]; x[2] = y[0] * up[1] - y[1] * up[0];
+    } else {
+        y[0] = up[1] * x[2] - up[2] * x[1]; y[1] = up[2] * x[0] - up[0] * x[2]; y[2] = up[0] * x[1] - up[1] * x[0];
+    }
+    for (int a = 0; a < 3; a++) { f->R[a] = x[a]; f->R[3 + a] = y[a]; f->R[6 + a] = up[a]; }
+
+    int np = (int)d->npoints, cap = np > (int)d->nphotos ? np : (int)d->nphotos;
+    double *v = malloc((size_t)cap * sizeof *v), lo[3], hi[3], clo[3], chi[3], ground = 0;
+    if (!v) return orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir);
+    for (int a = 0; a < 3; a++) {
+        const double *r = f->R + 3 * a;
+        for (int i = 0; i < np; i++) v[i] = r[0] * d->points[i].xyz[0] + r[1] * d->points[i].xyz[1] + r[2] * d->points[i].xyz[2];
+        lo[a] = percentile(v, np, a == 2 ? 0.004 : 0.02);
+        hi[a] = percentile(v, np, a == 2 ? 0.998 : 0.98);
+        if (a == 2) ground = percentile(v, np, 0.01);
+        int n2 = 0;
+        for (uint32_t i = 0; i < d->nphotos; i++) {
+            if (d->photos[i].test) continue;
+            double c[3];
+            orl_pose_centre(&d->photos[i].pose, c);
+            v[n2++] = r[0] * c[0] + r[1] * c[1] + r[2] * c[2];
+        }
+        clo[a] = percentile(v, n2, 0.05);
+        chi[a] = percentile(v, n2, 0.95);
+    }
+    free(v);
+    double ext = 0;
+    for (int a = 0; a < 2; a++) if (hi[a] - lo[a] > ext) ext = hi[a] - lo[a];
+    for (int a = 0; a < 3; a++) {
+        double e = hi[a] - lo[a], margin = a == 2 ? 0.12 * e : 0.15 * e;
+        lo[a] -= a == 2 ? 0.04 * e : margin;
+        hi[a] += margin;
+        if (a == 2) continue;
+        /* The ground before the building belongs to the picture: reach towards the cameras, but not at any price in resolution. */
+        if (clo[a] < lo[a]) lo[a] = fmax(clo[a], lo[a] - 0.35 * ext);
+        if (chi[a] > hi[a]) hi[a] = fmin(chi[a], hi[a] + 0.35 * ext);
+    }
+    double side = 0;
+    for (int a = 0; a < 3; a++) side = fmax(side, hi[a] - lo[a]);
+    if (!(side > 0) || !isfinite(side)) return orl_fail(ORL_E_DEGENERATE, "%s: SfM points span no volume", d->dir);
+    f->scale = longest / side;
+    for (int a = 0; a < 3; a++) {
+        f->dims[a] = (((int)ceil((hi[a] - lo[a]) * f->scale)) + 15) & ~15;
+        if (f->dims[a] < 32) f->dims[a] = 32;
+        f->offset[a] = 0.5 * f->dims[a] - 0.5 * (lo[a] + hi[a]) * f->scale;
+    }
+    f->ground = (float)(ground * f->scale + f->offset[2]);
+    return ORL_OK;
+}
+
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks; const uint32_t *index; orl_err *err; } load_job;
+
+static orl_err load_one(const load_job *job, int k)
+{
+    const orl_photo *p = &job->d->photos[job->index[k]];
+    world_photo *o = &job->w->photos[k];
+    const frame *f = &job->w->frame;
+    orl_image im = { 0 }, sky = { 0 };
+    orl_err e = orl_photo_load(p, job->long_side, &im, &o->cam);
+    if (e) return e;
+    snprintf(o->name, sizeof o->name, "%s", p->name);
+    o->pose = p->pose;
+    o->w = im.w;
+    o->h = im.h;
+    double c[3];
+    orl_pose_centre(&p->pose, c);
+    frame_apply(f, c, o->centre);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            o->axes[3 * i + j] = f->R[3 * i] * p->pose.R[3 * j] + f->R[3 * i + 1] * p->pose.R[3 * j + 1] + f->R[3 * i + 2] * p->pose.R[3 * j + 2];
+    double sx = (double)im.w / p->cam.w, sy = (double)im.h / p->cam.h;
+    float (*pts)[2] = malloc((p->obs_count + 1) * sizeof *pts);
+    size_t n = 0;
+    for (uint32_t i = 0; pts && i < p->obs_count; i++) {
+        const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
+        if (ob->point < 0) continue;
+        pts[n][0] = (float)(ob->x * sx);
+        pts[n][1] = (float)(ob->y * sy);
+        n++;
+    }
+    if (job->use_masks && p->mask[0]) {
+        e = orl_photo_load_mask(p, im.w, im.h, &sky);
+        if (!e) for (int i = 0; i < im.w * im.h; i++) sky.px[i] = sky.px[i] == 128 ? 255 : 0;
+    } else {
+        e = orl_skymask(&im, &o->cam, &o->pose, f->R + 6, (const float (*)[2])pts, n, &sky);
+    }
+    free(pts);
+    if (e) { orl_image_free(&im); return e; }
+    o->rgb = im.px;
+    o->sky = sky.px;
+    return ORL_OK;
+}
+
+static void load_range(void *user, int begin, int end)
+{
+    load_job *job = user;
+    for (int k = begin; k < end; k++) job->err[k] = load_one(job, k);
+}
+
+orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out)
+{
+    world w = { 0 };
+    orl_err e = place(d, longest, &w.frame);
+    if (e) return e;
+    snprintf(w.title, sizeof w.title, "%s", d->name);
+    uint32_t *index = malloc(d->nphotos * sizeof *index);
+    orl_err *errs = calloc(d->nphotos, sizeof *errs);
+    w.photos = calloc(d->nphotos, sizeof *w.photos);
+    w.points = calloc(d->npoints, sizeof *w.points);
+    w.obs = calloc(d->nobs + 1, sizeof *w.obs);
+    if (!index || !errs || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
+    for (uint32_t i = 0; i < d->nphotos; i++) if (!d->photos[i].test) index[w.nphotos++] = i;
+    load_job job = { d, &w, long_side, use_masks, index, errs };
+    orl_parallel(threads, w.nphotos, 1, load_range, &job);
+    int kept = 0;
+    for (int k = 0; k < w.nphotos; k++) {
+        const orl_photo *p = &d->photos[index[k]];
+        if (errs[k]) {
+            fprintf(stderr, "oriel-train: %s does not load, left out\n", p->name);
+            continue;
+        }
+        world_photo *o = &w.photos[k];
+        o->obs_begin = w.nobs;
+        for (uint32_t i = 0; i < p->obs_count; i++) {
+            const orl_colmap_obs *ob = &d->obs[p->obs_begin + i];
+            if (ob->point < 0) continue;
+            w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)ob->point };
+        }
+        o->obs_count = w.nobs - o->obs_begin;
+        w.photos[kept++] = *o;
+    }
+    w.nphotos = kept;
+    if (kept < 2) { e = orl_fail(ORL_E_DEGENERATE, "%s: fewer than two photos load", d->dir); goto done; }
+    w.npoints = d->npoints;
+    for (uint32_t i = 0; i < d->npoints; i++) {
+        double g[3];
+        frame_apply(&w.frame, d->points[i].xyz, g);
+        for (int a = 0; a < 3; a++) w.points[i].x[a] = (float)g[a];
+        float t = (float)d->points[i].track_length, r = d->points[i].error_px;
+        w.points[i].weight = (t / (t + 3.0f)) / (1.0f + r * r);
+    }
+    *out = w;
+    memset(&w, 0, sizeof w);
+done:
+    world_free(&w);
+    free(index);
+    free(errs);
+    return e;
+}
+
+void world_free(world *w)
+{
+    for (int i = 0; w->photos && i < w->nphotos; i++) {
+        free(w->photos[i].rgb);
+        free(w->photos[i].sky);
+    }
+    free(w->photos);
+    free(w->obs);
+    free(w->points);
+    memset(w, 0, sizeof *w);
+}

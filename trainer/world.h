@@ -1,0 +1,49 @@
+/* The training set in memory, in the grid frame: photos, cameras, sky masks, SfM observations. */
+#ifndef TRAINER_WORLD_H
+#define TRAINER_WORLD_H
+#include "oriel/dataset.h"
+
+/* Similarity world -> grid: z up, one unit = one fine cell, the box is [0, dims]. */
+typedef struct {
+    double R[9];                    /* world -> scene axes (z up) */
+    double scale, offset[3];        /* grid = scale * R * world + offset */
+    int dims[3];                    /* fine cells, multiples of 16 */
+    float ground;                   /* estimated height of the ground, fine cells */
+} frame;
+
+typedef struct {
+    char name[256];
+    orl_camera cam;                 /* at training size */
+    orl_pose pose;
+    double centre[3];               /* grid frame */
+    double axes[9];                 /* grid direction = axes * camera direction (row-major rotation) */
+    int w, h;
+    uint8_t *rgb;                   /* w * h * 3, sRGB */
+    uint8_t *sky;                   /* w * h: 255 surely sky .. 0 surely scene */
+    uint32_t obs_begin, obs_count;  /* into world.obs */
+} world_photo;
+
+typedef struct { float u, v; uint32_t point; } world_obs;        /* pixel at training size */
+typedef struct { float x[3]; float weight; } world_point;       /* grid frame; weight from track length and reprojection error */
+
+typedef struct {
+    char title[64];
+    frame frame;
+    world_photo *photos; int nphotos;
+    world_obs *obs; uint32_t nobs;
+    world_point *points; uint32_t npoints;
+} world;
+
+/* Loads the training photos (never the test ones) at long_side and places the box with `longest` fine cells along its longest side. use_masks: take the sky label of given masks (never the transient one). */
+orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out);
+void world_free(world *w);
+void frame_apply(const frame *f, const double world[3], double grid[3]);
+/* Unit ray of pixel (u, v) in the grid frame. */
+void world_ray(const world_photo *p, double u, double v, float dir[3]);
+/* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
+int  world_project(const world_photo *p, const float x[3], double uv[2], double *depth);
+int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1);
+
+/* First SDF from SfM rays and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
+orl_err hull_build(const world *w, int cell, int threads, float **sdf);
+#endif
