@@ -7,8 +7,7 @@
 #include "oriel/math.h"
 
 #define PI 3.14159265f
-enum { TEXELS = ORL_OCT * ORL_OCT, LANES = 8 };
-typedef float lanes __attribute__((vector_size(4 * LANES)));
+enum { TEXELS = ORL_OCT * ORL_OCT, LANES = 4 };
 typedef float v4 __attribute__((vector_size(16)));
 typedef int32_t i4 __attribute__((vector_size(16)));
 
@@ -66,7 +65,7 @@ static void fetch(const float (*t)[3], const footprint *f, float e[3])
 /* ---- environment -> irradiance ---- */
 
 /* transfer[block][w][lane] = max(0, n.w) dOmega(w) for texel block * LANES + lane; made once, never freed. */
-static lanes transfer[TEXELS / LANES][ORL_ENV];
+static v4 transfer[TEXELS / LANES][ORL_ENV];
 static pthread_once_t transfer_once = PTHREAD_ONCE_INIT;
 
 static void transfer_make(void)
@@ -89,8 +88,8 @@ static void irradiance(const float (*env)[3], float (*out)[3])
 {
     pthread_once(&transfer_once, transfer_make);
     for (int b = 0; b < TEXELS / LANES; b++) {
-        const lanes *t = transfer[b];
-        lanes r = { 0 }, g = { 0 }, bl = { 0 };
+        const v4 *t = transfer[b];
+        v4 r = { 0 }, g = { 0 }, bl = { 0 };
         for (int w = 0; w < ORL_ENV; w++) {
             r += t[w] * env[w][0];
             g += t[w] * env[w][1];

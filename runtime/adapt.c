@@ -6,8 +6,8 @@
 #include <string.h>
 #include "oriel/math.h"
 
-enum { N = ORL_CODE, LANES = 8, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400 };
-typedef float lanes __attribute__((vector_size(4 * LANES)));
+enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400 };
+typedef float v4 __attribute__((vector_size(16)));
 #define PI 3.14159265f
 #define TAU_COARSE 1.0f     /* scale of the robust weights on the residual's RGB norm: first and last of the coarse stage, */
 #define TAU_MIDDLE 0.4f
@@ -15,7 +15,7 @@ typedef float lanes __attribute__((vector_size(4 * LANES)));
 
 /* Normal equations at a code: H = J^T W J + prior (upper triangle by rows), gradient, cost. */
 typedef struct {
-    lanes h[N][BLOCKS];
+    v4 h[N][BLOCKS];
     float g[N];
     double cost, cost_before;       /* at the scale of the next step, and at the scale of the last */
     double weight, kept, square;    /* sums: of weights, of robust weights, of robustly weighted squares */
@@ -61,7 +61,7 @@ static void evaluate(state *w, const float *code, float tau_before, float tau, s
         if (!usable(s)) continue;
         float rgb[3], J[3][N], r[3], e2 = 0;
         orl_light_shade_jac(&w->light, &w->jac, s, rgb, J);
-        lanes j[3][BLOCKS] = { { { 0 } } };
+        v4 j[3][BLOCKS] = { { { 0 } } };
         for (int c = 0; c < 3; c++) {
             r[c] = rgb[c] - s->rgb[c];
             if (r[c] > 0 && s->rgb[c] >= 250.0f / 255) { r[c] = 0; continue; }  /* saturated: any brighter model fits, and the row stays zero */

@@ -8,6 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "runtime/arena.h"
 
 enum { CELLS = 64, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };
 #define FEATHER 0.03        /* of the photo's short side */
@@ -33,18 +34,9 @@ struct orl_blend {
     uint8_t *wide;
 };
 
-/* Bump allocation; a NULL base counts only. */
-typedef struct { uint8_t *base; size_t used; } arena;
-static void *take(arena *a, size_t n)
+static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
 {
-    void *p = a->base ? a->base + a->used : NULL;
-    a->used += (n + 63) & ~(size_t)63;
-    return p;
-}
-
-static void lay_out(arena *a, int w, int h, orl_blend **out)
-{
-    orl_blend *b = take(a, sizeof *b), dummy;
+    orl_blend *b = orl_arena_take(a, sizeof *b), dummy;
     if (!b) b = &dummy;
     memset(b, 0, sizeof *b);
     size_t n = (size_t)w * (size_t)h;
@@ -54,17 +46,17 @@ static void lay_out(arena *a, int w, int h, orl_blend **out)
     b->cell = side / CELLS > 4 ? (side + CELLS - 1) / CELLS : 4;
     b->gw = (w + b->cell - 1) / b->cell;
     b->gh = (h + b->cell - 1) / b->cell;
-    b->x0 = take(a, (size_t)h * sizeof *b->x0);
-    b->x1 = take(a, (size_t)h * sizeof *b->x1);
-    b->at = take(a, n * 2 * sizeof *b->at);
-    b->weight = take(a, n);
-    b->seam = take(a, n);
-    b->layer = take(a, n);
-    b->warped = take(a, n * 3);
+    b->x0 = orl_arena_take(a, (size_t)h * sizeof *b->x0);
+    b->x1 = orl_arena_take(a, (size_t)h * sizeof *b->x1);
+    b->at = orl_arena_take(a, n * 2 * sizeof *b->at);
+    b->weight = orl_arena_take(a, n);
+    b->seam = orl_arena_take(a, n);
+    b->layer = orl_arena_take(a, n);
+    b->warped = orl_arena_take(a, n * 3);
     size_t cells = (size_t)b->gw * (size_t)b->gh;
-    b->sum = take(a, LAYERS * cells * 4 * sizeof *b->sum);
-    b->fade = take(a, cells * sizeof *b->fade);
-    b->column = take(a, (size_t)w * 2 * sizeof *b->column);
+    b->sum = orl_arena_take(a, LAYERS * cells * 4 * sizeof *b->sum);
+    b->fade = orl_arena_take(a, cells * sizeof *b->fade);
+    b->column = orl_arena_take(a, (size_t)w * 2 * sizeof *b->column);
     for (int k = 0; k < LAYERS; k++) {
         int gw = b->gw, gh = b->gh;
         for (b->levels = 0; b->levels < LEVELS; ) {
@@ -72,8 +64,8 @@ static void lay_out(arena *a, int w, int h, orl_blend **out)
             size_t m = (size_t)gw * (size_t)gh;
             l->w = gw;
             l->h = gh;
-            for (int c = 0; c < 3; c++) l->value[c] = take(a, m * sizeof(int32_t));
-            l->trust = take(a, m * sizeof(int32_t));
+            for (int c = 0; c < 3; c++) l->value[c] = orl_arena_take(a, m * sizeof(int32_t));
+            l->trust = orl_arena_take(a, m * sizeof(int32_t));
             if (gw == 1 && gh == 1) break;
             gw = (gw + 1) / 2;
             gh = (gh + 1) / 2;
@@ -84,7 +76,7 @@ static void lay_out(arena *a, int w, int h, orl_blend **out)
 
 size_t orl_blend_need(int w, int h)
 {
-    arena a = { 0 };
+    orl_arena a = { 0 };
     lay_out(&a, w, h, NULL);
     return a.used;
 }
@@ -183,7 +175,7 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
             turn[3 * i + k] = 0;
             for (int j = 0; j < 3; j++) turn[3 * i + k] += photo_pose->R[3 * i + j] * wide_pose->R[3 * k + j];
         }
-    arena ar = { block, 0 };
+    orl_arena ar = { block, 0 };
     orl_blend *b;
     lay_out(&ar, wide->w, wide->h, &b);
     b->pw = photo->w;

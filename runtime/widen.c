@@ -5,16 +5,9 @@
 #include <string.h>
 #include "oriel/image.h"
 #include "oriel/parallel.h"
+#include "runtime/arena.h"
 
 enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2 };
-
-typedef struct { uint8_t *base; size_t used; } arena;
-static void *take(arena *a, size_t n)
-{
-    void *p = a->base ? a->base + a->used : NULL;
-    a->used += (n + 63) & ~(size_t)63;
-    return p;
-}
 
 void *orl_widen_block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
 
@@ -44,24 +37,24 @@ static int pick(int w, int h, int *spot)
 
 typedef struct { void *small, *wide, *blend; } blocks;
 
-static void lay_out(arena *a, const orl_widen_config *c, orl_widen *w, blocks *b)
+static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, blocks *b)
 {
     orl_camera s = small_camera(&c->photo);
     w->nsamples = pick(s.w, s.h, NULL);
-    w->light = take(a, sizeof *w->light);
-    w->samples = take(a, (size_t)w->nsamples * sizeof *w->samples);
-    w->spot = take(a, (size_t)w->nsamples * sizeof *w->spot);
-    w->unmasked = take(a, (size_t)s.w * (size_t)s.h);
-    w->adapt_work = take(a, orl_adapt_need());
-    w->light_block = take(a, orl_view_light_need());
-    b->small = take(a, orl_view_need(s.w, s.h));
-    b->wide = take(a, orl_view_need(c->wide.w, c->wide.h));
-    b->blend = c->blend ? take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
+    w->light = orl_arena_take(a, sizeof *w->light);
+    w->samples = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->samples);
+    w->spot = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->spot);
+    w->unmasked = orl_arena_take(a, (size_t)s.w * (size_t)s.h);
+    w->adapt_work = orl_arena_take(a, orl_adapt_need());
+    w->light_block = orl_arena_take(a, orl_view_light_need());
+    b->small = orl_arena_take(a, orl_view_need(s.w, s.h));
+    b->wide = orl_arena_take(a, orl_view_need(c->wide.w, c->wide.h));
+    b->blend = c->blend ? orl_arena_take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
 }
 
 size_t orl_widen_need(const orl_widen_config *c)
 {
-    arena a = { 0 };
+    orl_arena a = { 0 };
     orl_widen w;
     blocks b;
     lay_out(&a, c, &w, &b);
@@ -85,7 +78,7 @@ static void average(const orl_camera *photo, int sw, int sh, int sx, int sy, con
 
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out)
 {
-    arena a = { block, 0 };
+    orl_arena a = { block, 0 };
     orl_widen w;
     blocks b;
     memset(&w, 0, sizeof w);

@@ -1,5 +1,6 @@
-/* Row mean, nearest warp and median of warps. Depth of the test view: SfM points that photos looking the same way observed are projected into it, and at the nodes of a coarse lattice inverse
- * depth (linear in the image on a plane) is fitted by moving least squares over the nearest points. The sky gets the building's depth and so moves with it; occlusion is not resolved. */
+/* Row mean, nearest warp and median of warps. Depth of the test view: SfM points that photos looking the same way observed are
+ * projected into it, and at the nodes of a coarse lattice inverse depth (linear in the image on a plane) is fitted by moving least squares
+ * over the nearest points. The sky gets the building's depth and so moves with it; occlusion is not resolved. */
 #include "trainer/baselines.h"
 #include <math.h>
 #include <stdlib.h>
@@ -83,7 +84,8 @@ static int project(const orl_camera *cam, const orl_pose *pose, const double xyz
     return orl_camera_project(cam, p, uv) && uv[0] >= 0 && uv[1] >= 0 && uv[0] < cam->w && uv[1] < cam->h;
 }
 
-/* Points that the view should see. A photo votes for its points with the share of them that falls into the view times the cosine between the optical axes; the best voters' points are taken. */
+/* Points that the view should see. A photo votes for its points with the share of them that falls into the view times the cosine
+ * between the optical axes; the best voters' points are taken. */
 static orl_err gather(const orl_dataset *d, const orl_camera *cam, const orl_pose *pose, spot *spots, int *count)
 {
     rank *order = malloc((d->nphotos + 1u) * sizeof *order);
@@ -214,7 +216,8 @@ static void lift(const orl_camera *cam, const orl_pose *pose, const float *inv, 
         }
 }
 
-/* How well a photo stands in for the view: share of pixels that it sees, each weighted by how little its ray turns (half at a quarter of a radian) and by its sharpness there. */
+/* How well a photo stands in for the view: share of pixels that it sees, each weighted by how little its ray turns (half at a quarter
+ * of a radian) and by its sharpness there. */
 static float closeness(const orl_camera *view, const orl_pose *pose, const double *xyz, const orl_camera *cam, const orl_pose *from)
 {
     double c0[3], c1[3], sum = 0;
@@ -256,7 +259,8 @@ static void warp(const orl_camera *view, const double *xyz, const orl_image *im,
     }
 }
 
-/* Affine colour map from warp to known pixels: reweighted least squares (Geman-McClure, scale from the residuals' mean), a trace of ridge towards the identity. Applied to rgb. Returns 0 if too few pixels are shared. */
+/* Affine colour map from warp to known pixels: reweighted least squares (Geman-McClure, scale from the residuals' mean), a trace of
+ * ridge towards the identity. Applied to rgb. Returns 0 if too few pixels are shared. */
 static int match_colour(const orl_image *known, int w, float *rgb, const uint8_t *ok)
 {
     double M[12] = { 1, 0, 0,  0, 1, 0,  0, 0, 1,  0, 0, 0 }, scale2 = INFINITY;       /* rows: r, g, b, 1; columns: out */

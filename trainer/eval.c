@@ -1,5 +1,6 @@
-/* `oriel-train eval`: the half-photo protocol. A test photo's left half goes in, the whole picture comes out, the right half is scored: by the exported scene in fixed point, by the trainer's model
- * in float, and by trivial baselines. Also scores against ground truth, where a SCENE has a gt/ folder (--geometry, --factors) or a recorded clip with the wide truth (--kiosk). */
+/* `oriel-train eval`: the half-photo protocol. A test photo's left half goes in, the whole picture comes out, the right half is scored:
+ * by the exported scene in fixed point, by the trainer's model in float, and by trivial baselines. Also scores against ground truth, where
+ * a SCENE has a gt/ folder (--geometry, --factors) or a recorded clip with the wide truth (--kiosk). */
 #include "trainer/eval.h"
 #include <errno.h>
 #include <getopt.h>
@@ -391,7 +392,8 @@ static void scene_rotation(const orl_scene *s, double R[9])
         for (int k = 0; k < 3; k++) R[3 * i + k] = m[4 * i + k] / scale;
 }
 
-/* depth_median_rel: |z - truth| / truth where both see surface; normal_mean_deg there; sky_covered: share of the true sky's pixels that the scene covers. All test photos together, full size. */
+/* depth_median_rel: |z - truth| / truth where both see surface; normal_mean_deg there; sky_covered: share of the true sky's pixels that
+ * the scene covers. All test photos together, full size. */
 static orl_err geometry(const orl_dataset *d, const orl_scene *s, int threads, figure *out)
 {
     double R[9], angle = 0, *rel = NULL;

@@ -23,8 +23,8 @@ typedef struct {
     orl_adapt_result adapt[EVAL_FLOAT + 1]; /* of `fixed` and `float` */
 } eval_prediction;
 
-/* Predicts the whole picture of a view (cam->w x cam->h, the photo's size) from the photo's columns [0, known_w): the photo is cut there first, and the cut is all that adaptation and baselines
- * are given. known_w = cam->w lets them see everything. */
+/* Predicts the whole picture of a view (cam->w x cam->h, the photo's size) from the photo's columns [0, known_w): the photo is cut
+ * there first, and the cut is all that adaptation and baselines are given. known_w = cam->w lets them see everything. */
 orl_err eval_predict(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *photo, int known_w, eval_prediction *out);
 void eval_prediction_free(eval_prediction *p);
 #endif

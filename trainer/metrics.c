@@ -1,4 +1,5 @@
-/* PSNR, SSIM and LDR-FLIP on a range of columns. Both filters of SSIM and all of FLIP's are separable, so one small convolution serves everything. */
+/* PSNR, SSIM and LDR-FLIP on a range of columns. Both filters of SSIM and all of FLIP's are separable, so one small convolution serves
+ * everything. */
 #include "oriel/metrics.h"
 #include <math.h>
 #include <stdlib.h>
@@ -153,7 +154,8 @@ static taps gauss_csf(double b, int r)     /* Gaussian of the contrast sensitivi
     return t;
 }
 
-/* Kernels of the feature detectors: a Gaussian, its first and its second derivative; the latter two with their positive and their negative weights summing to 1 each. */
+/* Kernels of the feature detectors: a Gaussian, its first and its second derivative; the latter two with their positive and their
+ * negative weights summing to 1 each. */
 static void feature_taps(taps *smooth, taps *edge, taps *point)
 {
     double sd = 0.5 * 0.082 * ORL_FLIP_PPD, sum = 0, pos[2] = { 0 }, neg[2] = { 0 }, v[2][TAPS_MAX];

@@ -227,16 +227,43 @@ static float scene_texture(const level *l, float *tmp)
     return fmaxf(median_of(tmp, m), 0.006f);
 }
 
+static int blue_step(const level *l, int i, int steps)
+{
+    float y = l->ch[0][i], rb = l->ch[1][i], g = l->ch[2][i], b = y - 0.5f * g - 0.5f * rb;     /* B from luma and differences */
+    return (int)clampf((b - rb + 1) / 3 * (float)steps, 0, (float)(steps - 1));
+}
+
+/* Skies are brighter or bluer than what stands below them: rank of 2 B - R among the pixels around the points (all pixels below 10 degrees without points), as log-odds. */
+static void weigh_blue(level *l)
+{
+    enum { STEPS = 512 };
+    int n = l->w * l->h, hist[STEPS] = { 0 }, total = 0;
+    float rank[STEPS];
+    for (int pass = 0; pass < 2 && total < n / 50; pass++)
+        for (int i = 0; i < n; i++)
+            if (!l->blank[i] && (pass ? l->elevation[i] < 0.17f : l->dist[i] < 4)) { hist[blue_step(l, i, STEPS)]++; total++; }
+    int below = 0;
+    for (int k = 0; k < STEPS; k++) {
+        rank[k] = total ? ((float)below + 0.5f * (float)hist[k]) / (float)total : 0.7f;
+        below += hist[k];
+    }
+    for (int i = 0; i < n; i++) {
+        float r = rank[blue_step(l, i, STEPS)];
+        l->base[i] += r < 0.7f ? 5 * (r - 0.7f) : 4 * (r - 0.7f);
+    }
+}
+
 static void weigh(level *l, float scene)
 {
     for (int i = 0; i < l->w * l->h; i++) {
         float u = 1.2f;
         u += 1.5f * clampf(logf(0.35f * scene / (l->texture[i] + 0.002f)), -2, 1);
         u += 0.7f * clampf(logf(0.3f * scene / (l->barrier[i] + 0.002f)), -2, 1);
-        u -= 4 * l->cover[i] + 4 * expf(-l->dist[i] / 5);
-        u -= 4 * clampf(1 - l->elevation[i] / 0.10f, 0, 2);
+        u -= 4 * l->cover[i];
+        u -= 3 * clampf(1 - l->elevation[i] / 0.05f, 0, 2);
         l->base[i] = u;
     }
+    weigh_blue(l);
 }
 
 static void weigh_edges(level *l, float sigma)
@@ -317,7 +344,8 @@ static void colours_learn(colours *c, const level *l, float *sky, float *scene)
 static void combine(level *l, const colours *c)
 {
     for (int i = 0; i < l->w * l->h; i++) {
-        float u = l->base[i] + (c ? c->ratio[colours_cell(c, l, i)] : 0);
+        float near = c ? 1.5f * expf(-l->dist[i] / 3) : 4 * expf(-l->dist[i] / 5);     /* before colour is known, keep well away from points */
+        float u = l->base[i] - near + (c ? c->ratio[colours_cell(c, l, i)] : 0);
         l->goal[i] = sigmoid(u);
         l->lambda[i] = 0.002f + 0.05f * fabsf(2 * l->goal[i] - 1);
         if (l->dist[i] < 1.2f || l->elevation[i] < -0.07f) { l->goal[i] = 0; l->lambda[i] = 2; }
@@ -338,6 +366,28 @@ static void solve(level *l, int sweeps)
             if (i + w < w * h) { sum += l->wy[i] * l->x[i + w]; weight += l->wy[i]; }
             l->x[i] = clampf(l->x[i] + 1.6f * (sum / weight - l->x[i]), 0, 1);
         }
+}
+
+/* Points without two others near are left out: a bird, or a match that went wrong. Keeps order. */
+static size_t drop_lonely(const float (*pt)[2], size_t n, int w, int h, float (*out)[2])
+{
+    enum { SIDE = 24 };         /* cells along the long side */
+    uint32_t count[SIDE + 2][SIDE + 2] = { 0 };
+    float s = (float)SIDE / (float)(w > h ? w : h);
+    size_t kept = 0;
+    for (int pass = 0; pass < 2; pass++)
+        for (size_t k = 0; k < n; k++) {
+            if (!(pt[k][0] >= 0 && pt[k][0] < (float)w && pt[k][1] >= 0 && pt[k][1] < (float)h)) continue;
+            int x = (int)(pt[k][0] * s), y = (int)(pt[k][1] * s);
+            x = x < SIDE ? x : SIDE - 1; y = y < SIDE ? y : SIDE - 1;
+            if (!pass) { count[y + 1][x + 1]++; continue; }
+            uint32_t near = 0;
+            for (int dy = 0; dy < 3; dy++) for (int dx = 0; dx < 3; dx++) near += count[y + dy][x + dx];
+            if (near < 3) continue;
+            out[kept][0] = pt[k][0];
+            out[kept++][1] = pt[k][1];
+        }
+    return kept;
 }
 
 static orl_err level_make(level *l, const orl_image *photo, int side, const orl_camera *cam, const double up[3], const float (*pt)[2], size_t n)
@@ -391,9 +441,10 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     orl_image out = { 0 };
     float *full = NULL;
     colours *c = malloc(sizeof *c);
-    float *cells = malloc(2 * CELLS * sizeof *cells);
-    orl_err e = c && cells ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky mask: no memory for colours");
-    if (e || (e = level_make(&coarse, photo, COARSE, &here, zenith, points, npoints)) || (e = level_make(&fine, photo, FINE, &here, zenith, points, npoints))) goto done;
+    float *cells = malloc(2 * CELLS * sizeof *cells), (*kept)[2] = malloc((npoints + 1) * sizeof *kept);
+    orl_err e = c && cells && kept ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky mask: no memory for colours and points");
+    if (!e) npoints = drop_lonely(points, npoints, photo->w, photo->h, kept);
+    if (e || (e = level_make(&coarse, photo, COARSE, &here, zenith, (const float (*)[2])kept, npoints)) || (e = level_make(&fine, photo, FINE, &here, zenith, (const float (*)[2])kept, npoints))) goto done;
 
     colours_range(c, &coarse);
     for (int round = 0; round < ROUNDS; round++) {
@@ -413,6 +464,6 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     for (size_t i = 0; i < (size_t)photo->w * photo->h; i++) out.px[i] = (uint8_t)(clampf(full[i], 0, 1) * 255 + 0.5f);
     *prob = out;
 done:
-    free(full); free(c); free(cells); free(coarse.block); free(fine.block);
+    free(full); free(c); free(cells); free(kept); free(coarse.block); free(fine.block);
     return e;
 }

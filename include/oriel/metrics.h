@@ -1,5 +1,6 @@
-/* How close a picture comes to the truth: PSNR, SSIM, LDR-FLIP. Images are float, 3 channels, sRGB in [0,1] (values outside are clamped), same size. Scores are
- * taken on columns [x0, x1) as if the picture were cut there: nothing outside the range takes part. Single-threaded, fixed order. */
+/* How close a picture comes to the truth: PSNR, SSIM, LDR-FLIP. Images are float, 3 channels, sRGB in [0,1] (values outside are
+ * clamped), same size. Scores are taken on columns [x0, x1) as if the picture were cut there: nothing outside the range takes part.
+ * Single-threaded, fixed order. */
 #ifndef ORIEL_METRICS_H
 #define ORIEL_METRICS_H
 #include "oriel/image.h"

@@ -1,0 +1,85 @@
+/* `oriel info`: what is in a scene file. */
+#include <inttypes.h>
+#include <stdio.h>
+#include "oriel/scene.h"
+#include "runtime/commands.h"
+
+static const char HELP[] =
+    "Usage: oriel info [--json] SCENE_FILE\nWhat is in a scene file: sections with their bytes, extent, bricks, dimensions in use.\n\n"
+    "  --json   one JSON object\n  --help   this text\n";
+
+static void json_string(const char *s)
+{
+    putchar('"');
+    for (; *s; s++) {
+        if (*s == '"' || *s == '\\') printf("\\%c", *s);
+        else if ((unsigned char)*s < 32 || (unsigned char)*s > 126) printf("\\u%04x", (unsigned char)*s);
+        else putchar(*s);
+    }
+    putchar('"');
+}
+
+static int any(const float *v, size_t n)
+{
+    for (size_t i = 0; i < n; i++)
+        if (v[i] != 0) return 1;
+    return 0;
+}
+
+int orl_cmd_info(int argc, char **argv)
+{
+    static const struct option TABLE[] = { { "json", no_argument, NULL, 'j' }, { "help", no_argument, NULL, 'h' }, { 0 } };
+    int json = 0, first = 1;
+    for (int c; (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (c == 'j') json = 1;
+        else if (c == 'h') return printf("%s", HELP) < 0;
+        else return ORL_EXIT_USAGE;
+    }
+    if (argc - optind != 1) {
+        orl_fail(ORL_E_RANGE, "one scene file is wanted");
+        return ORL_EXIT_USAGE;
+    }
+    const char *path = argv[optind];
+    enum { CAP = 64 };
+    orl_scene_section part[CAP];
+    orl_scene s;
+    int n = 0, env = 0, own = 0, shadow = 0;
+    if (orl_scene_open(path, &s)) return ORL_EXIT_FAILED;
+    if (orl_scene_sections(path, part, CAP, &n)) {
+        orl_scene_close(&s);
+        return ORL_EXIT_FAILED;
+    }
+    const orl_light_model *m = &s.light;
+    for (int k = 0; k < ORL_ENV_DIM; k++) env += any(&m->env_basis[k][0][0], ORL_ENV * 3);
+    for (int k = ORL_SKY_Q - ORL_SKY_DIM; k < ORL_SKY_Q; k++) own += any(&m->sky_gen[k][0][0], 3 * ORL_SKY_Y);
+    for (int k = 0; s.shadow && k < ORL_SHADOW_DIM; k++) shadow += s.shadow_scale[k] != 0;
+    const double *g = s.world_to_grid;
+    double size[3] = { 8 * (double)s.cell_world * s.nb[0], 8 * (double)s.cell_world * s.nb[1], 8 * (double)s.cell_world * s.nb[2] };
+    uint64_t total = (uint64_t)s.nb[0] * s.nb[1] * s.nb[2];
+    if (json) {
+        printf("{\"file\": ");
+        json_string(path);
+        printf(", \"title\": ");
+        json_string(s.title);
+        printf(", \"bytes\": %zu, \"sections\": [", s.map_bytes);
+        for (int i = 0; i < n; i++) {
+            printf("%s{\"tag\": ", i ? ", " : "");
+            json_string(part[i].tag);
+            printf(", \"offset\": %" PRIu64 ", \"bytes\": %" PRIu64 ", \"crc\": %" PRIu32 "}", part[i].offset, part[i].bytes, part[i].crc);
+        }
+        printf("], \"grid\": [%u, %u, %u], \"cell_world\": %.9g, \"bricks\": %u, \"horizon\": %s, \"shadow_dims\": %d, \"env_dims\": %d, \"sky_dims\": %d, \"codes\": %u, \"world_to_grid\": [",
+               s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, s.nbricks, s.lite ? "true" : "false", shadow, env, own, s.ncodes);
+        for (int i = 0; i < 12; i++) printf("%s%.17g", i ? ", " : "", g[i]);
+        printf("]}\n");
+    } else {
+        printf("%s: %.64s, %zu bytes\n", path, s.title, s.map_bytes);
+        for (int i = 0; i < n; i++) printf("  %-4s  %10" PRIu64 " bytes at %10" PRIu64 "  crc %08" PRIx32 "\n", part[i].tag, part[i].bytes, part[i].offset, part[i].crc);
+        printf("grid      %u x %u x %u cells of %.6g, box %.5g x %.5g x %.5g world units\n", s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, size[0], size[1], size[2]);
+        printf("bricks    %u of %" PRIu64 " (%.1f %%)\n", s.nbricks, total, 100.0 * s.nbricks / (double)total);
+        printf("light     %d of %d environment dimensions, %d of %d of the sky's own, %s, %d of %d shadow features\n", env, ORL_ENV_DIM, own, ORL_SKY_DIM,
+               s.lite ? "openness and horizons" : "no horizons", shadow, ORL_SHADOW_DIM);
+        printf("codes     %u training photos\n", s.ncodes);
+    }
+    orl_scene_close(&s);
+    return ORL_EXIT_DONE;
+}

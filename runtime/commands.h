@@ -1,0 +1,30 @@
+/* Sub-commands of oriel, and what their command lines share. Each parses its own options (getopt_long; argv[0] is the sub-command's name) and returns the exit code: 0 done,
+ * 1 bad input or device, 2 usage; with 1 and 2 the reason is orl_error_text(), which main prints. */
+#ifndef RUNTIME_COMMANDS_H
+#define RUNTIME_COMMANDS_H
+#include <getopt.h>
+#include "oriel/camera.h"
+#include "oriel/image.h"
+
+int orl_cmd_info(int argc, char **argv);
+int orl_cmd_extend(int argc, char **argv);
+int orl_cmd_relight(int argc, char **argv);
+int orl_cmd_run(int argc, char **argv);
+
+enum { ORL_EXIT_DONE = 0, ORL_EXIT_FAILED = 1, ORL_EXIT_USAGE = 2 };
+
+/* Next option of a table (long options only but for -o); -1 at the end, '?' after recording what is wrong. Call with *first = 1 before the first. */
+int orl_option_next(int argc, char **argv, const struct option *table, int *first);
+/* A whole argument as a number in [lo, hi] or ORL_E_RANGE naming the option. */
+orl_err orl_option_int(const char *option, const char *text, int lo, int hi, int *out);
+orl_err orl_option_real(const char *option, const char *text, double lo, double hi, double *out);
+orl_err orl_option_size(const char *option, const char *text, int *w, int *h);          /* WxH */
+
+/* Which views: --pose, --colmap, --widen, --size. */
+typedef struct { const char *pose, *colmap; double widen, otherwise; int w, h; } orl_view_request;     /* widen 0, w 0: not given; otherwise: the default of widen */
+/* The camera that took `name` (its last path component; any with --pose), at the size of the picture w x h (0: as recorded), and the wide view wanted:
+ * the pose file's second line, unless widen or size ask for another; without either the field of view `otherwise` times as wide. Size: the photo's scale, at most 4096 pixels. */
+orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide);
+
+double orl_seconds(void);       /* monotonic */
+#endif

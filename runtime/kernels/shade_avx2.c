@@ -1,0 +1,135 @@
+/* Re-lighting for AVX2: shade.h's arithmetic, 16 pixels a step. Built into every x86-64 program, called where the CPU has it. */
+#include <immintrin.h>
+#include <string.h>
+#include "runtime/kernels/shade.h"
+
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE __m256i load(const void *p) { return _mm256_loadu_si256((const __m256i *)p); }
+INLINE __m256i bytes_q15(const uint8_t *p)
+{
+    __m256i v = _mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)p));
+    return _mm256_add_epi16(_mm256_slli_epi16(v, 7), _mm256_srli_epi16(v, 1));
+}
+
+/* base + mul(delta, f) for 16 entries. lo and hi hold knot indices, f the fractions, all in the same lane order, which packs keeps. */
+INLINE __m256i lut(const orl_lut *t, __m256i lo, __m256i hi, __m256i flo, __m256i fhi)
+{
+    __m256i a = _mm256_i32gather_epi32((const int *)t, lo, 4), b = _mm256_i32gather_epi32((const int *)t, hi, 4);
+    __m256i base = _mm256_packs_epi32(_mm256_srai_epi32(_mm256_slli_epi32(a, 16), 16), _mm256_srai_epi32(_mm256_slli_epi32(b, 16), 16));
+    __m256i delta = _mm256_packs_epi32(_mm256_srai_epi32(a, 16), _mm256_srai_epi32(b, 16));
+    return _mm256_add_epi16(base, _mm256_mulhrs_epi16(delta, _mm256_packs_epi32(flo, fhi)));
+}
+
+/* 8 pixels: sums of 8 products, in order. */
+INLINE __m256i dot8(const int8_t *phi, __m256i w)
+{
+    __m256i m[4];
+    for (int k = 0; k < 4; k++) m[k] = _mm256_madd_epi16(_mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)(phi + 16 * k))), w);
+    __m256i h = _mm256_hadd_epi32(_mm256_hadd_epi32(m[0], m[1]), _mm256_hadd_epi32(m[2], m[3]));       /* 0 2 4 6 | 1 3 5 7 */
+    return _mm256_permutevar8x32_epi32(h, _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7));
+}
+
+void orl_shadow_avx2(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s)
+{
+    __m256i w = _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i *)t->phi_w)), zero = _mm256_setzero_si256();
+    __m256i round = _mm256_set1_epi32(t->phi_shift ? 1 << (t->phi_shift - 1) : 0), bias = _mm256_set1_epi32(t->phi_bias), top = _mm256_set1_epi32(32767), low = _mm256_set1_epi32(127);
+    __m128i shift = _mm_cvtsi32_si128(t->phi_shift);
+    for (int i = 0; i < n; i += 16, phi += 16 * ORL_SHADOW_DIM) {
+        __m256i x[2];
+        for (int k = 0; k < 2; k++) {
+            x[k] = _mm256_add_epi32(_mm256_sra_epi32(_mm256_add_epi32(dot8(phi + 64 * k, w), round), shift), bias);
+            x[k] = _mm256_min_epi32(_mm256_max_epi32(x[k], zero), top);
+        }
+        __m256i v = lut(t->sigmoid, _mm256_srli_epi32(x[0], 7), _mm256_srli_epi32(x[1], 7),
+                        _mm256_slli_epi32(_mm256_and_si256(x[0], low), 8), _mm256_slli_epi32(_mm256_and_si256(x[1], low), 8));
+        _mm256_storeu_si256((__m256i *)(s + i), _mm256_permute4x64_epi64(v, 0xd8));
+    }
+}
+
+/* Irradiance of 16 pixels, one at a time with channels side by side, turned into planes. */
+INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, __m256i sv, __m256i open, __m256i e[3])
+{
+    int16_t a[16], b[16], rgb[16][4];
+    _mm256_storeu_si256((__m256i *)a, sv);
+    _mm256_storeu_si256((__m256i *)b, open);
+    for (int i = 0; i < 16; i++) {
+        const int16_t *pal = t->pal[normal[i]];
+        __m128i w = _mm_unpacklo_epi64(_mm_set1_epi16(a[i]), _mm_set1_epi16(b[i])), m = _mm_mulhrs_epi16(_mm_loadu_si128((const __m128i *)pal), w);
+        m = _mm_adds_epi16(_mm_adds_epi16(m, _mm_srli_si128(m, 8)), _mm_loadl_epi64((const __m128i *)(pal + 8)));
+        _mm_storel_epi64((__m128i *)rgb[i], m);
+    }
+    /* 4 x 16 -> planes: byte shuffle groups the channels of two pixels, two rounds of unpacking collect them */
+    __m256i g = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 8, 9, 2, 3, 10, 11, 4, 5, 12, 13, 6, 7, 14, 15)), q[4];
+    for (int k = 0; k < 4; k++) {                                       /* q[k]: pixels 2k, 2k+1 low lane, 2k+8, 2k+9 high lane: R R G G B B x x */
+        __m256i v = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_loadu_si128((const __m128i *)rgb[2 * k])), _mm_loadu_si128((const __m128i *)rgb[2 * k + 8]), 1);
+        q[k] = _mm256_shuffle_epi8(v, g);
+    }
+    __m256i a0 = _mm256_unpacklo_epi32(q[0], q[1]), a1 = _mm256_unpacklo_epi32(q[2], q[3]), b0 = _mm256_unpackhi_epi32(q[0], q[1]), b1 = _mm256_unpackhi_epi32(q[2], q[3]);
+    e[0] = _mm256_unpacklo_epi64(a0, a1);
+    e[1] = _mm256_unpackhi_epi64(a0, a1);
+    e[2] = _mm256_unpacklo_epi64(b0, b1);
+}
+
+INLINE __m256i knot(__m256i v, __m256i *f)
+{
+    __m256i bits = _mm256_castps_si256(_mm256_cvtepi32_ps(v));          /* exact: v < 2^24 */
+    *f = _mm256_and_si256(_mm256_srli_epi32(bits, 4), _mm256_set1_epi32(0x7fff));
+    return _mm256_sub_epi32(_mm256_srli_epi32(bits, 19), _mm256_set1_epi32(127 << 4));
+}
+
+INLINE __m256i clamp_colour(__m256i v, __m256i round, __m128i shift)
+{
+    v = _mm256_srl_epi32(_mm256_add_epi32(v, round), shift);
+    return _mm256_max_epi32(_mm256_min_epi32(v, _mm256_set1_epi32(0xffffff)), _mm256_set1_epi32(1));
+}
+
+INLINE __m256i encode(const uint16_t *albedo, __m256i e, const orl_shade_tab *t, __m256i round, __m128i shift)
+{
+    __m256i a = load(albedo), lo = _mm256_mullo_epi16(a, e), hi = _mm256_mulhi_epu16(a, e), f0, f1;
+    __m256i k0 = knot(clamp_colour(_mm256_unpacklo_epi16(lo, hi), round, shift), &f0), k1 = knot(clamp_colour(_mm256_unpackhi_epi16(lo, hi), round, shift), &f1);
+    return lut(t->encode, k0, k1, f0, f1);
+}
+
+INLINE __m128i tone(const __m256i p[3], const int16_t a[4], int32_t b)
+{
+    int32_t rg, bx = (uint16_t)a[2];
+    memcpy(&rg, a, 4);
+    __m256i wrg = _mm256_set1_epi32(rg), wb = _mm256_set1_epi32(bx), add = _mm256_set1_epi32(b), zero = _mm256_setzero_si256();
+    __m256i lo = _mm256_add_epi32(_mm256_madd_epi16(_mm256_unpacklo_epi16(p[0], p[1]), wrg), _mm256_madd_epi16(_mm256_unpacklo_epi16(p[2], zero), wb));
+    __m256i hi = _mm256_add_epi32(_mm256_madd_epi16(_mm256_unpackhi_epi16(p[0], p[1]), wrg), _mm256_madd_epi16(_mm256_unpackhi_epi16(p[2], zero), wb));
+    __m256i v = _mm256_packs_epi32(_mm256_srai_epi32(_mm256_add_epi32(lo, add), 17), _mm256_srai_epi32(_mm256_add_epi32(hi, add), 17));
+    return _mm_packus_epi16(_mm256_castsi256_si128(v), _mm256_extracti128_si256(v, 1));
+}
+
+void orl_shade_avx2(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb)
+{
+    __m256i round = _mm256_set1_epi32(t->colour_shift ? 1 << (t->colour_shift - 1) : 0);
+    __m128i shift = _mm_cvtsi32_si128(t->colour_shift);
+    __m256i lane = _mm256_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    int mask = (1 << in->sky_log2) - 1;
+    for (int i = 0; i < n; i += 16, rgb += 48) {
+        const int16_t *sky = in->sky[(in->x + i) >> in->sky_log2];
+        __m256i ramp = _mm256_sll_epi16(_mm256_add_epi16(_mm256_set1_epi16((short)((in->x + i) & mask)), lane), _mm_cvtsi32_si128(15 - in->sky_log2)), p[3];
+        for (int c = 0; c < 3; c++)
+            p[c] = _mm256_add_epi16(_mm256_set1_epi16(sky[c]), _mm256_mulhrs_epi16(_mm256_set1_epi16((short)(sky[4 + c] - sky[c])), ramp));
+        __m128i cov8 = _mm_loadu_si128((const __m128i *)(in->cov + i));
+        if (!_mm_testz_si128(cov8, cov8)) {
+            __m256i cov = bytes_q15(in->cov + i), e[3];
+            irradiance(in->normal + i, t, _mm256_mulhrs_epi16(load(in->s + i), bytes_q15(in->vis + i)), bytes_q15(in->open + i), e);
+            for (int c = 0; c < 3; c++)
+                p[c] = _mm256_add_epi16(p[c], _mm256_mulhrs_epi16(_mm256_sub_epi16(encode(in->albedo[c] + i, e[c], t, round, shift), p[c]), cov));
+        }
+        __m128i r = tone(p, t->tone[0], t->tone_b[0]), g = tone(p, t->tone[1], t->tone_b[1]), b = tone(p, t->tone[2], t->tone_b[2]);
+#define X -1
+#define MIX(r0, g0, b0) _mm_or_si128(_mm_or_si128(_mm_shuffle_epi8(r, r0), _mm_shuffle_epi8(g, g0)), _mm_shuffle_epi8(b, b0))
+        _mm_storeu_si128((__m128i *)rgb, MIX(_mm_setr_epi8(0, X, X, 1, X, X, 2, X, X, 3, X, X, 4, X, X, 5), _mm_setr_epi8(X, 0, X, X, 1, X, X, 2, X, X, 3, X, X, 4, X, X),
+                                             _mm_setr_epi8(X, X, 0, X, X, 1, X, X, 2, X, X, 3, X, X, 4, X)));
+        _mm_storeu_si128((__m128i *)(rgb + 16), MIX(_mm_setr_epi8(X, X, 6, X, X, 7, X, X, 8, X, X, 9, X, X, 10, X), _mm_setr_epi8(5, X, X, 6, X, X, 7, X, X, 8, X, X, 9, X, X, 10),
+                                                    _mm_setr_epi8(X, 5, X, X, 6, X, X, 7, X, X, 8, X, X, 9, X, X)));
+        _mm_storeu_si128((__m128i *)(rgb + 32), MIX(_mm_setr_epi8(X, 11, X, X, 12, X, X, 13, X, X, 14, X, X, 15, X, X), _mm_setr_epi8(X, X, 11, X, X, 12, X, X, 13, X, X, 14, X, X, 15, X),
+                                                    _mm_setr_epi8(10, X, X, 11, X, X, 12, X, X, 13, X, X, 14, X, X, 15)));
+#undef MIX
+#undef X
+    }
+}

@@ -1,0 +1,84 @@
+/* Re-lighting for NEON: shade.h's arithmetic, 8 pixels a step. */
+#include "runtime/kernels/lut_neon.h"
+
+INLINE int16x8_t bytes_q15(const uint8_t *p)
+{
+    uint16x8_t v = vmovl_u8(vld1_u8(p));
+    return vreinterpretq_s16_u16(vaddq_u16(vshlq_n_u16(v, 7), vshrq_n_u16(v, 1)));
+}
+
+INLINE int32x4_t dot4(const int8_t *phi, int16x8_t w)
+{
+    int32x4_t m[4];
+    for (int k = 0; k < 4; k++) {
+        int16x8_t v = vmovl_s8(vld1_s8(phi + 8 * k));
+        m[k] = vmlal_high_s16(vmull_s16(vget_low_s16(v), vget_low_s16(w)), v, w);
+    }
+    return vpaddq_s32(vpaddq_s32(m[0], m[1]), vpaddq_s32(m[2], m[3]));
+}
+
+void orl_shadow_neon(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s)
+{
+    int16x8_t w = vld1q_s16(t->phi_w);
+    for (int i = 0; i < n; i += 8, phi += 64) sigmoid(t, dot4(phi, w), dot4(phi + 32, w), s + i);
+}
+
+/* Irradiance of 8 pixels, channels side by side, then planes. */
+INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, int16x8_t sv, int16x8_t open, int16x8_t e[3])
+{
+    int16_t a[8], b[8], rgb[8][4];
+    vst1q_s16(a, sv);
+    vst1q_s16(b, open);
+    for (int i = 0; i < 8; i++) {
+        const int16_t *pal = t->pal[normal[i]];
+        int16x4_t m = vqadd_s16(vqrdmulh_s16(vld1_s16(pal), vdup_n_s16(a[i])), vqrdmulh_s16(vld1_s16(pal + 4), vdup_n_s16(b[i])));
+        vst1_s16(rgb[i], vqadd_s16(m, vld1_s16(pal + 8)));
+    }
+    int16x8x4_t v = vld4q_s16(rgb[0]);
+    for (int c = 0; c < 3; c++) e[c] = v.val[c];
+}
+
+INLINE uint32x4_t float_bits(uint32x4_t q, int32x4_t shift)
+{
+    q = vmaxq_u32(vminq_u32(vrshlq_u32(q, shift), vdupq_n_u32(0xffffff)), vdupq_n_u32(1));
+    return vreinterpretq_u32_f32(vcvtq_f32_u32(q));                     /* exact: q < 2^24 */
+}
+
+INLINE int16x8_t encode(const uint16_t *albedo, int16x8_t e, const orl_shade_tab *t, int32x4_t shift)
+{
+    uint16x8_t a = vld1q_u16(albedo), u = vreinterpretq_u16_s16(e);
+    uint32x4_t lo = float_bits(vmull_u16(vget_low_u16(a), vget_low_u16(u)), shift), hi = float_bits(vmull_high_u16(a, u), shift);
+    uint16x8_t knot = vsubq_u16(vcombine_u16(vshrn_n_u32(vshrq_n_u32(lo, 4), 15), vshrn_n_u32(vshrq_n_u32(hi, 4), 15)), vdupq_n_u16(127 << 4));
+    uint16x8_t f = vandq_u16(vcombine_u16(vshrn_n_u32(lo, 4), vshrn_n_u32(hi, 4)), vdupq_n_u16(0x7fff));
+    return lut(t->encode, knot, vreinterpretq_s16_u16(f));
+}
+
+INLINE uint8x8_t tone(const int16x8_t p[3], const int16_t a[4], int32_t b)
+{
+    int32x4_t lo = vdupq_n_s32(b), hi = lo;
+    for (int k = 0; k < 3; k++) {
+        lo = vmlal_n_s16(lo, vget_low_s16(p[k]), a[k]);
+        hi = vmlal_high_n_s16(hi, p[k], a[k]);
+    }
+    return vqmovun_s16(vcombine_s16(vqmovn_s32(vshrq_n_s32(lo, 17)), vqmovn_s32(vshrq_n_s32(hi, 17))));
+}
+
+void orl_shade_neon(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb)
+{
+    static const int16_t lanes[8] = { 0, 1, 2, 3, 4, 5, 6, 7 };
+    int32x4_t shift = vdupq_n_s32(-t->colour_shift);
+    int16x8_t lane = vld1q_s16(lanes), up = vdupq_n_s16((int16_t)(15 - in->sky_log2));
+    int mask = (1 << in->sky_log2) - 1;
+    for (int i = 0; i < n; i += 8, rgb += 24) {
+        const int16_t *sky = in->sky[(in->x + i) >> in->sky_log2];
+        int16x8_t ramp = vshlq_s16(vaddq_s16(vdupq_n_s16((int16_t)((in->x + i) & mask)), lane), up), p[3];
+        for (int c = 0; c < 3; c++) p[c] = vaddq_s16(vdupq_n_s16(sky[c]), vqrdmulhq_s16(vdupq_n_s16((int16_t)(sky[4 + c] - sky[c])), ramp));
+        if (vmaxv_u8(vld1_u8(in->cov + i))) {
+            int16x8_t cov = bytes_q15(in->cov + i), e[3];
+            irradiance(in->normal + i, t, vqrdmulhq_s16(vld1q_s16(in->s + i), bytes_q15(in->vis + i)), bytes_q15(in->open + i), e);
+            for (int c = 0; c < 3; c++) p[c] = vaddq_s16(p[c], vqrdmulhq_s16(vsubq_s16(encode(in->albedo[c] + i, e[c], t, shift), p[c]), cov));
+        }
+        uint8x8x3_t out = { { tone(p, t->tone[0], t->tone_b[0]), tone(p, t->tone[1], t->tone_b[1]), tone(p, t->tone[2], t->tone_b[2]) } };
+        vst3_u8(rgb, out);
+    }
+}

@@ -1,0 +1,54 @@
+/* Re-lighting in plain C: the specification of shade.h that every other variant must meet bit for bit. */
+#include "runtime/kernels/shade.h"
+
+static int mul(int a, int b) { return (a * b + 0x4000) >> 15; }
+static int q15(int v) { return (v << 7) + (v >> 1); }
+static int add(int a, int b) { int s = a + b; return s > 32767 ? 32767 : s; }          /* operands are never negative */
+static int lut(const orl_lut *t, int f) { return t->base + mul(t->delta, f); }
+
+void orl_vis_ref(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis)
+{
+    for (int i = 0; i < n; i++, horizon += ORL_HORIZON) {
+        int d = t->sun - (horizon[t->i0] * (256 - t->f) + horizon[t->i1] * t->f);
+        d = d < 0 ? 0 : d > ORL_VIS_SPAN ? ORL_VIS_SPAN : d;
+        int x = (d * 20182 + 1024) >> 11, a = mul(x, x), v = (a + 2 * mul(a, 32767 - x) + 64) >> 7;
+        vis[i] = (uint8_t)(v > 255 ? 255 : v);
+    }
+}
+
+void orl_shadow_ref(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s)
+{
+    int32_t round = t->phi_shift ? 1 << (t->phi_shift - 1) : 0;
+    for (int i = 0; i < n; i++, phi += ORL_SHADOW_DIM) {
+        int32_t x = 0;
+        for (int k = 0; k < ORL_SHADOW_DIM; k++) x += phi[k] * t->phi_w[k];
+        x = ((x + round) >> t->phi_shift) + t->phi_bias;
+        x = x < 0 ? 0 : x > 32767 ? 32767 : x;
+        s[i] = (int16_t)lut(&t->sigmoid[x >> 7], (x & 127) << 8);
+    }
+}
+
+void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb)
+{
+    uint32_t round = t->colour_shift ? 1u << (t->colour_shift - 1) : 0;
+    for (int i = 0; i < n; i++, rgb += 3) {
+        const int16_t *pal = t->pal[in->normal[i]];
+        int sv = mul(in->s[i], q15(in->vis[i])), open = q15(in->open[i]), cov = q15(in->cov[i]), p[3];
+        const int16_t *sky = in->sky[(in->x + i) >> in->sky_log2];
+        int ramp = ((in->x + i) & ((1 << in->sky_log2) - 1)) << (15 - in->sky_log2);
+        for (int c = 0; c < 3; c++) {
+            int y = sky[c] + mul(sky[4 + c] - sky[c], ramp);
+            if (!cov) { p[c] = y; continue; }
+            int E = add(add(mul(pal[c], sv), mul(pal[4 + c], open)), pal[8 + c]);
+            uint32_t q = ((uint32_t)in->albedo[c][i] * (uint32_t)E + round) >> t->colour_shift;
+            q = q < 1 ? 1 : q > 0xffffff ? 0xffffff : q;
+            int log = 31 - __builtin_clz(q);
+            uint32_t m = q << (23 - log) & 0x7fffff;
+            p[c] = y + mul(lut(&t->encode[16 * log + (int)(m >> 19)], (int)(m >> 4 & 0x7fff)) - y, cov);
+        }
+        for (int c = 0; c < 3; c++) {
+            int v = (t->tone[c][0] * p[0] + t->tone[c][1] * p[1] + t->tone[c][2] * p[2] + t->tone_b[c]) >> 17;
+            rgb[c] = (uint8_t)(v < 0 ? 0 : v > 255 ? 255 : v);
+        }
+    }
+}

@@ -1,0 +1,358 @@
+/* The view: marches every pixel into planes (bit-identical for any thread count: a row is one thread's alone), turns a light into tables, and runs the re-lighting kernels over rows. */
+#include "oriel/view.h"
+#include <math.h>
+#include <string.h>
+#include "oriel/math.h"
+#include "oriel/parallel.h"
+#include "runtime/kernels/shade.h"
+#include "runtime/march.h"
+
+enum { NODES = 66, GRAIN = 4, CHUNK = 256 };
+
+/* Directions on a coarse grid of pixel centres: node (i, j) is pixel (i << log2, j << log2). */
+typedef struct { int log2, nx, ny; float dir[NODES * NODES][3]; } sky_grid;
+
+struct orl_view_light {
+    orl_shade_tab tab;
+    orl_vis_tab vis;
+    int16_t sky[NODES * NODES][4];      /* encoded sky at the nodes, Q13 */
+};
+
+static size_t align64(size_t x) { return (x + 63) & ~(size_t)63; }
+static int padded(int w) { return (w + 31) & ~31; }
+
+/* ---- layout */
+
+/* Places the planes in block (NULL: only counts). */
+static size_t place(orl_view *v, uint8_t *block)
+{
+    size_t n = (size_t)v->stride * (size_t)v->h, at = 0;
+#define PLANE(p, type, per) do { if (block) v->p = (type *)(block + at); at += align64(n * per * sizeof(type)); } while (0)
+    PLANE(normal, uint16_t, 1);
+    for (int c = 0; c < 3; c++) PLANE(albedo[c], uint16_t, 1);
+    PLANE(open, uint8_t, 1);
+    PLANE(cov, uint8_t, 1);
+    PLANE(horizon, uint8_t, ORL_HORIZON);
+    PLANE(phi, int8_t, ORL_SHADOW_DIM);
+    PLANE(vis, uint8_t, 1);
+    PLANE(depth, uint16_t, 1);
+#undef PLANE
+    if (block) v->sky = block + at;
+    return at + align64(sizeof(sky_grid));
+}
+
+size_t orl_view_need(int w, int h)
+{
+    orl_view v = { .w = w, .h = h, .stride = padded(w) };
+    return w > 0 && h > 0 ? place(&v, NULL) : 0;
+}
+
+/* ---- rays */
+
+/* Unit direction of pixel position (x, y), scene frame. 0 if the lens has none. */
+static int pixel_dir(const orl_view *v, double x, double y, double d[3])
+{
+    double c[3], len = 0;
+    orl_camera_unproject(&v->cam, x, y, c);
+    for (int a = 0; a < 3; a++) {
+        d[a] = v->grid_from_cam[3 * a] * c[0] + v->grid_from_cam[3 * a + 1] * c[1] + v->grid_from_cam[3 * a + 2] * c[2];
+        len += d[a] * d[a];
+    }
+    if (!(len > 1e-12 && len < 1e12)) return 0;
+    len = sqrt(len);
+    for (int a = 0; a < 3; a++) d[a] /= len;
+    return 1;
+}
+
+static uint16_t palette_of(const double n[3])
+{
+    float f[3] = { (float)n[0], (float)n[1], (float)n[2] }, uv[2];
+    orl_oct_uv(f, uv);
+    int i = (int)((uv[0] + 1) * (ORL_PAL_SIDE / 2)), j = (int)((uv[1] + 1) * (ORL_PAL_SIDE / 2));
+    i = i < 0 ? 0 : i > ORL_PAL_SIDE - 1 ? ORL_PAL_SIDE - 1 : i;
+    j = j < 0 ? 0 : j > ORL_PAL_SIDE - 1 ? ORL_PAL_SIDE - 1 : j;
+    return (uint16_t)(j * ORL_PAL_SIDE + i);
+}
+
+static void palette_dir(int index, float n[3])
+{
+    orl_oct_dir(((float)(index % ORL_PAL_SIDE) + 0.5f) / (ORL_PAL_SIDE / 2) - 1, ((float)(index / ORL_PAL_SIDE) + 0.5f) / (ORL_PAL_SIDE / 2) - 1, n);
+}
+
+/* ---- building */
+
+typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
+
+/* Mean of the rays that hit; coverage is their share. */
+static void build_pixel(const build_job *j, int x, int y)
+{
+    orl_view *v = j->v;
+    orl_hit h;
+    int hits = 0, rays = j->ss * j->ss;
+    int64_t t = 0;
+    double n[3] = { 0 };
+    uint32_t albedo[3] = { 0 }, lite[ORL_LITE_BYTES] = { 0 };
+    int32_t phi[ORL_SHADOW_DIM] = { 0 };
+    for (int k = 0; k < rays; k++) {
+        double d[3];
+        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !orl_march(j->s, j->origin, d, &h)) continue;
+        double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
+        if (len > 0) for (int a = 0; a < 3; a++) n[a] += g[a] / len;
+        for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];
+        for (int c = 0; c < ORL_LITE_BYTES; c++) lite[c] += h.lite[c];
+        for (int c = 0; c < ORL_SHADOW_DIM; c++) phi[c] += h.phi[c];
+        t += h.t;
+        hits++;
+    }
+    if (!hits) return;
+    size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+    uint32_t m = (uint32_t)hits, half = m << 15;
+    v->normal[at] = palette_of(n);
+    for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((albedo[c] + m / 2) / m);
+    v->open[at] = (uint8_t)((lite[0] + half) / (m << 16));
+    v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
+    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[at * ORL_HORIZON + (size_t)i] = (uint8_t)((lite[1 + i] + half) / (m << 16));
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) {      /* rounded half away from zero */
+        int32_t p = phi[k], r = (int32_t)half, den = (int32_t)(m << 16);
+        v->phi[at * ORL_SHADOW_DIM + (size_t)k] = (int8_t)((p < 0 ? p - r : p + r) / den);
+    }
+    int64_t depth = (t / hits + (1 << 11)) >> 12;
+    v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
+}
+
+static void build_rows(void *user, int begin, int end)
+{
+    const build_job *j = user;
+    for (int y = begin; y < end; y++) for (int x = 0; x < j->v->w; x++) build_pixel(j, x, y);
+}
+
+static void build_sky(orl_view *v)
+{
+    sky_grid *g = v->sky;
+    int side = v->stride > v->h ? v->stride : v->h;
+    g->log2 = 4;
+    while (((side - 1) >> g->log2) + 2 > NODES) g->log2++;
+    g->nx = ((v->stride - 1) >> g->log2) + 2;
+    g->ny = ((v->h - 1) >> g->log2) + 2;
+    double d[3] = { 0, 0, 1 };
+    for (int i = 0; i < g->nx * g->ny; i++) {
+        double try[3];
+        if (pixel_dir(v, ((i % g->nx) << g->log2) + 0.5, ((i / g->nx) << g->log2) + 0.5, try)) memcpy(d, try, sizeof d);    /* else the last good one */
+        for (int a = 0; a < 3; a++) g->dir[i][a] = (float)d[a];
+    }
+}
+
+static int all_finite(const double *v, int n) { for (int i = 0; i < n; i++) if (!(v[i] > -1e12 && v[i] < 1e12)) return 0; return 1; }
+
+orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out)
+{
+    const double lens[] = { cam->fx, cam->fy, cam->cx, cam->cy, cam->k1, cam->k2, cam->p1, cam->p2 }, *R = pose->R, *m = s->world_to_grid;
+    if (!s->bmap) return orl_fail(ORL_E_DEGENERATE, "view: the scene has no geometry (a sky file?)");
+    if (cam->w < 1 || cam->h < 1 || cam->w > 65535 || cam->h > 65535) return orl_fail(ORL_E_RANGE, "view: size %d x %d", cam->w, cam->h);
+    if (supersample != 1 && supersample != 2) return orl_fail(ORL_E_RANGE, "view: supersample %d", supersample);
+    if (!all_finite(lens, 8) || !(cam->fx > 0) || !(cam->fy > 0)) return orl_fail(ORL_E_DEGENERATE, "view: camera parameters are not finite");
+    if (!all_finite(R, 9) || !all_finite(pose->t, 3)) return orl_fail(ORL_E_DEGENERATE, "view: pose is not finite");
+    double det = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);
+    if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
+    if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
+    orl_view v = { .w = cam->w, .h = cam->h, .stride = padded(cam->w), .cam = *cam, .pose = *pose };
+    build_job j = { s, &v, supersample, { 0 } };
+    place(&v, block);
+    double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
+    orl_pose_centre(pose, centre);
+    for (int a = 0; a < 3; a++) {
+        j.origin[a] = m[4 * a] * centre[0] + m[4 * a + 1] * centre[1] + m[4 * a + 2] * centre[2] + m[4 * a + 3];
+        for (int c = 0; c < 3; c++) v.grid_from_cam[3 * a + c] = (m[4 * a] * R[3 * c] + m[4 * a + 1] * R[3 * c + 1] + m[4 * a + 2] * R[3 * c + 2]) / scale;
+    }
+    size_t n = (size_t)v.stride * (size_t)v.h;
+    memset(block, 0, (size_t)((uint8_t *)v.sky - (uint8_t *)block));    /* sky: everything 0, lit, no depth */
+    memset(v.vis, 255, n);
+    memset(v.depth, 255, n * sizeof *v.depth);
+    if (s->shadow) memcpy(v.phi_scale, s->shadow_scale, sizeof v.phi_scale);
+    build_sky(&v);
+    orl_parallel(threads, v.h, GRAIN, build_rows, &j);
+    *out = v;
+    return ORL_OK;
+}
+
+void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out)
+{
+    size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+    double d[3] = { 0, 0, 1 };
+    orl_sample s = { .open = (float)v->open[at] / 255, .cov = (float)v->cov[at] / 255 };
+    pixel_dir(v, x + 0.5, y + 0.5, d);
+    palette_dir(v->normal[at], s.normal);
+    for (int c = 0; c < 3; c++) {
+        s.albedo[c] = (float)v->albedo[c][at] / 65535;
+        s.dir[c] = (float)d[c];
+    }
+    for (int i = 0; i < ORL_HORIZON; i++) s.horizon[i] = (float)v->horizon[at * ORL_HORIZON + (size_t)i] * (1.57079633f / 255);
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) s.phi[k] = (float)v->phi[at * ORL_SHADOW_DIM + (size_t)k] * v->phi_scale[k];
+    *out = s;
+}
+
+/* ---- light tables */
+
+static float clampf(float v, float lo, float hi) { return v > lo ? (v < hi ? v : hi) : lo; }       /* NaN -> lo */
+static int32_t rounded(float v) { return (int32_t)(v < 0 ? v - 0.5f : v + 0.5f); }
+static float exp2i(int e) { uint32_t bits = (uint32_t)(e + 127) << 23; float f; memcpy(&f, &bits, 4); return f; }
+
+/* Irradiance / pi of sun, sky and ground for one normal. */
+static void palette_light(const orl_light *l, int index, float e[3][3])
+{
+    const float inv_pi = 0.318309886f;
+    float n[3], sky[3];
+    palette_dir(index, n);
+    float cosine = clampf(n[0] * l->sun_dir[0] + n[1] * l->sun_dir[1] + n[2] * l->sun_dir[2], 0, 1);
+    orl_light_esky(l, n, sky);
+    for (int c = 0; c < 3; c++) {
+        e[0][c] = clampf(inv_pi * cosine * l->sun_rgb[c], 0, 1e9f);
+        e[1][c] = clampf(inv_pi * sky[c], 0, 1e9f);
+        e[2][c] = clampf(inv_pi * 0.5f * (1 - n[2]) * l->eground[c], 0, 1e9f);
+    }
+}
+
+static void make_palette(orl_shade_tab *t, const orl_light *l)
+{
+    float top = 0, e[3][3];
+    for (int i = 0; i < ORL_PAL; i++) {
+        palette_light(l, i, e);
+        for (int c = 0; c < 3; c++) if (e[0][c] + e[1][c] + e[2][c] > top) top = e[0][c] + e[1][c] + e[2][c];
+    }
+    int k = 20;
+    while (k > 4 && top * exp2i(k) > 32764) k--;        /* room for the rounding of three terms */
+    t->colour_shift = k - 4;
+    for (int i = 0; i < ORL_PAL; i++) {
+        palette_light(l, i, e);
+        for (int p = 0; p < 3; p++) {
+            for (int c = 0; c < 3; c++) t->pal[i][4 * p + c] = (int16_t)clampf(e[p][c] * exp2i(k) + 0.5f, 0, 32767);
+            t->pal[i][4 * p + 3] = 0;
+        }
+    }
+}
+
+static void make_luts(orl_shade_tab *t)
+{
+    for (int i = 0; i <= ORL_ENCODE_KNOTS; i++) {
+        int32_t e = rounded(8192 * orl_light_encode(exp2i(i / 16 - 20) * (1 + (float)(i % 16) / 16)));
+        if (i < ORL_ENCODE_KNOTS) t->encode[i].base = (int16_t)e;
+        if (i) t->encode[i - 1].delta = (int16_t)(e - t->encode[i - 1].base);
+    }
+    for (int i = 0; i <= ORL_SIGMOID_KNOTS; i++) {
+        int32_t e = rounded(32767 / (1 + orl_expf(8 - (float)i / 16)));
+        if (i < ORL_SIGMOID_KNOTS) t->sigmoid[i].base = (int16_t)e;
+        if (i) t->sigmoid[i - 1].delta = (int16_t)(e - t->sigmoid[i - 1].base);
+    }
+}
+
+/* Shadow code in the features' scales, one power of two for all, at most 8 an entry (the sigmoid is flat long before). */
+static void make_shadow(orl_shade_tab *t, const orl_view *v, const orl_light *l)
+{
+    float w[ORL_SHADOW_DIM], top = 0;
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) {
+        w[k] = clampf(l->code[ORL_C_SHADOW + k] * v->phi_scale[k], -7.9f, 7.9f);
+        top = w[k] > top ? w[k] : -w[k] > top ? -w[k] : top;
+    }
+    int q = 26;
+    while (q > 11 && top * exp2i(q) > ORL_PHI_W_MAX) q--;
+    t->phi_shift = q - 11;
+    t->phi_bias = rounded((ORL_SHADOW_BIAS + 8) * 2048);
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) {
+        int x = rounded(w[k] * exp2i(q)), hi = (x + 64) >> 7;
+        t->phi_w[k] = (int16_t)x;
+        t->phi_hi[k] = t->phi_hi[k + ORL_SHADOW_DIM] = (int8_t)hi;
+        t->phi_lo[k] = t->phi_lo[k + ORL_SHADOW_DIM] = (int8_t)(x - 128 * hi);
+    }
+}
+
+/* Rows whose entries sum above 8 are scaled down to it: no photo's tone is near. */
+static void make_tone(orl_shade_tab *t, const orl_light *l)
+{
+    for (int c = 0; c < 3; c++) {
+        float a[3], sum = 0, down = 1;
+        for (int k = 0; k < 3; k++) {
+            a[k] = clampf(l->tone_a[c][k], -1e3f, 1e3f);
+            sum += a[k] < 0 ? -a[k] : a[k];
+        }
+        if (sum > 8) down = 8 / sum;
+        for (int k = 0; k < 3; k++) t->tone[c][k] = (int16_t)rounded(a[k] * down * (4096 * 255.0f / 256));
+        t->tone[c][3] = 0;
+        t->tone_b[c] = rounded(clampf(l->tone_b[c], -16, 16) * (255 * 131072.0f)) + (1 << 16);
+    }
+}
+
+static void make_vis(orl_vis_tab *t, const orl_light *l)
+{
+    const float pi = 3.14159265f;
+    float a = l->code[ORL_C_SUN_AZ] * (ORL_HORIZON / (2 * pi));
+    int i = (int)a - (a < (float)(int)a);
+    t->i0 = i & (ORL_HORIZON - 1);
+    t->i1 = (i + 1) & (ORL_HORIZON - 1);
+    t->f = rounded((a - (float)i) * 256);
+    t->sun = rounded(clampf((l->code[ORL_C_SUN_EL] + ORL_SUN_SOFT / 2) * (255 * 256 * 2 / pi), -1e6f, 1e6f));
+}
+
+static void make_sky(int16_t (*out)[4], const sky_grid *g, const orl_light *l)
+{
+    for (int i = 0; i < g->nx * g->ny; i++) {
+        const float *d = g->dir[i];
+        float x = l->cos_az * d[0] + l->sin_az * d[1], y = l->cos_az * d[1] - l->sin_az * d[0], z = d[2];
+        const float Y[ORL_SKY_Y] = { 1, x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1 };
+        for (int c = 0; c < 3; c++) {
+            float e = 0;
+            for (int k = 0; k < ORL_SKY_Y; k++) e += l->sky_m[c][k] * Y[k];
+            out[i][c] = (int16_t)rounded(8192 * clampf(e, -0.5f, 3.49f));
+        }
+        out[i][3] = 0;
+    }
+}
+
+size_t orl_view_light_need(void) { return align64(sizeof(orl_view_light)); }
+
+orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void *block, size_t bytes)
+{
+    if (bytes < sizeof(orl_view_light) || ((uintptr_t)block & 63)) return NULL;
+    orl_view_light *t = block;
+    make_palette(&t->tab, l);
+    make_luts(&t->tab);
+    make_shadow(&t->tab, v, l);
+    make_tone(&t->tab, l);
+    make_vis(&t->vis, l);
+    make_sky(t->sky, v->sky, l);
+    return t;
+}
+
+/* ---- rows */
+
+void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1)
+{
+    orl_kernels k;
+    orl_kernels_init(&k, cpu);
+    for (int y = y0; y < y1; y++) {
+        size_t at = (size_t)y * (size_t)v->stride;
+        k.vis(v->horizon + at * ORL_HORIZON, &l->vis, v->stride, v->vis + at);
+    }
+}
+
+void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)
+{
+    orl_kernels k;
+    orl_kernels_init(&k, cpu);
+    const sky_grid *g = v->sky;
+    for (int y = y0; y < y1; y++) {
+        int16_t sky[NODES][4], s[CHUNK];
+        const int16_t (*a)[4] = l->sky + (size_t)(y >> g->log2) * (size_t)g->nx, (*b)[4] = a + g->nx;
+        int f = (y & ((1 << g->log2) - 1)) << (15 - g->log2);
+        for (int i = 0; i < g->nx; i++) for (int c = 0; c < 4; c++) sky[i][c] = (int16_t)(a[i][c] + (((b[i][c] - a[i][c]) * f + 0x4000) >> 15));
+        for (int x = 0; x < v->w; x += CHUNK) {
+            size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+            uint8_t tail[CHUNK * 3], *to = rgb + (size_t)(y - y0) * row_bytes + 3 * (size_t)x;
+            int n = v->stride - x < CHUNK ? v->stride - x : CHUNK, visible = v->w - x < n ? v->w - x : n;
+            orl_shade_in in = { v->normal + at, { v->albedo[0] + at, v->albedo[1] + at, v->albedo[2] + at }, v->open + at, v->cov + at, v->vis + at, s,
+                                (const int16_t (*)[4])sky, g->log2, x };
+            k.shadow(v->phi + at * ORL_SHADOW_DIM, &l->tab, n, s);
+            k.shade(&in, &l->tab, n, visible == n ? to : tail);
+            if (visible < n) memcpy(to, tail, 3 * (size_t)visible);
+        }
+    }
+}
