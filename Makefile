@@ -63,7 +63,7 @@ $B/obj/%.o: %.cpp
 $B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
 $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
-$(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -march=armv8.2-a+dotprod
+$(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 
 tests: all $(TESTS) $(TOOLS)
 deps:

@@ -355,3 +355,87 @@ void orl_colmap_free(orl_colmap *m)
     free(m->points);
     memset(m, 0, sizeof *m);
 }
+
+/* Text model: one growing buffer per file, written at once. */
+typedef struct { char *s; size_t n, cap; int bad; } text;
+
+static void put(text *t, const char *fmt, ...)
+{
+    va_list ap;
+    for (;;) {
+        va_start(ap, fmt);
+        int k = t->s ? vsnprintf(t->s + t->n, t->cap - t->n, fmt, ap) : (int)t->cap;
+        va_end(ap);
+        if (t->s && k >= 0 && (size_t)k < t->cap - t->n) { t->n += (size_t)k; return; }
+        size_t cap = t->cap ? 2 * t->cap : 1 << 16;
+        char *s = t->bad ? NULL : realloc(t->s, cap);
+        if (!s) { t->bad = 1; return; }
+        t->s = s;
+        t->cap = cap;
+    }
+}
+
+static orl_err put_file(text *t, const char *dir, const char *name)
+{
+    char path[4200];
+    snprintf(path, sizeof path, "%s/%s", dir, name);
+    orl_err e = t->bad ? orl_fail(ORL_E_MEMORY, "%s: no memory", path) : orl_file_write(path, t->s, t->n);
+    free(t->s);
+    memset(t, 0, sizeof *t);
+    return e;
+}
+
+typedef struct { int32_t point; uint32_t image, index; } track_entry;
+static int by_track(const void *a, const void *b)
+{
+    const track_entry *x = a, *y = b;
+    if (x->point != y->point) return x->point < y->point ? -1 : 1;
+    return (x->image > y->image) - (x->image < y->image);
+}
+
+orl_err orl_colmap_write_text(const char *dir, const orl_colmap *m)
+{
+    text t = { 0 };
+    put(&t, "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
+    for (uint32_t i = 0; i < m->ncameras; i++) {
+        const orl_camera *c = &m->cameras[i];
+        put(&t, "%u %s %d %d", i + 1, orl_camera_model_name(c->model), c->w, c->h);
+        if (c->model == ORL_CAM_PINHOLE || c->model == ORL_CAM_OPENCV) put(&t, " %.17g %.17g", c->fx, c->fy);
+        else put(&t, " %.17g", c->fx);
+        put(&t, " %.17g %.17g", c->cx, c->cy);
+        if (c->model >= ORL_CAM_SIMPLE_RADIAL) put(&t, " %.17g", c->k1);
+        if (c->model >= ORL_CAM_RADIAL) put(&t, " %.17g", c->k2);
+        if (c->model == ORL_CAM_OPENCV) put(&t, " %.17g %.17g", c->p1, c->p2);
+        put(&t, "\n");
+    }
+    orl_err e = put_file(&t, dir, "cameras.txt");
+    if (e) return e;
+    track_entry *track = malloc(((size_t)m->nobs + 1) * sizeof *track);
+    if (!track) return orl_fail(ORL_E_MEMORY, "%s: no memory", dir);
+    size_t n = 0;
+    put(&t, "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as (X, Y, POINT3D_ID)\n");
+    for (uint32_t i = 0; i < m->nimages; i++) {
+        const orl_colmap_image *im = &m->images[i];
+        double q[4];
+        orl_pose_to_quat(&im->pose, q);
+        put(&t, "%u %.17g %.17g %.17g %.17g %.17g %.17g %.17g %d %s\n", im->id, q[0], q[1], q[2], q[3], im->pose.t[0], im->pose.t[1], im->pose.t[2], im->camera + 1, im->name);
+        for (uint32_t k = 0; k < im->obs_count; k++) {
+            const orl_colmap_obs *o = &m->obs[im->obs_begin + k];
+            put(&t, "%s%.9g %.9g %d", k ? " " : "", (double)o->x, (double)o->y, o->point < 0 ? -1 : o->point + 1);
+            if (o->point >= 0) track[n++] = (track_entry){ o->point, im->id, k };
+        }
+        put(&t, "\n");
+    }
+    if ((e = put_file(&t, dir, "images.txt"))) { free(track); return e; }
+    if (n) qsort(track, n, sizeof *track, by_track);
+    put(&t, "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
+    size_t at = 0;
+    for (uint32_t i = 0; i < m->npoints; i++) {
+        const orl_colmap_point *p = &m->points[i];
+        put(&t, "%u %.17g %.17g %.17g %d %d %d %.9g", i + 1, p->xyz[0], p->xyz[1], p->xyz[2], p->rgb[0], p->rgb[1], p->rgb[2], (double)p->error_px);
+        for (; at < n && track[at].point == (int32_t)i; at++) put(&t, " %u %u", track[at].image, track[at].index);
+        put(&t, "\n");
+    }
+    free(track);
+    return put_file(&t, dir, "points3D.txt");
+}

@@ -276,8 +276,8 @@ static orl_err map_file(const char *path, void **map, size_t *n)
 
 orl_err orl_scene_open(const char *path, orl_scene *out)
 {
-    void *map;
-    size_t n;
+    void *map = NULL;
+    size_t n = 0;
     orl_err e = map_file(path, &map, &n);
     if (e) return e;
     orl_scene s;
@@ -296,8 +296,8 @@ void orl_scene_close(orl_scene *s)
 
 orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, int *count)
 {
-    void *map;
-    size_t n;
+    void *map = NULL;
+    size_t n = 0;
     orl_err e = map_file(path, &map, &n);
     if (e) return e;
     layout l;

@@ -152,7 +152,10 @@ static void descend(state *w, descent *d, float tau, float tau_end, int max_step
         for (int k = 0; k < N; k++) x[k] = w->fixed[k] ? 0 : -at->g[k];
         solve(w, x);
         double longest = 1;                                                     /* no step beyond half a radian of sun or 1.5 units of anything else */
-        for (int k = 0; k < N; k++) longest = fmax(longest, fabs(x[k]) / (k < ORL_C_SUN_RGB ? 0.5 : 1.5));
+        for (int k = 0; k < N; k++) {
+            double in_units = fabs(x[k]) * (k < ORL_C_SUN_RGB ? 2 : 1 / 1.5);
+            if (in_units > longest) longest = in_units;
+        }
         descent trial = *d;
         for (int k = 0; k < N; k++) trial.code[k] += (float)(x[k] / longest);
         confine(w, trial.code);

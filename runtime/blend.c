@@ -13,7 +13,7 @@
 enum { CELLS = 64, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };
 #define FEATHER 0.03        /* of the photo's short side */
 #define BAND    3.0         /* seam colours are taken this many feathers deep */
-#define REACH   0.35        /* a correction has halved at this distance from the photo, in short sides */
+#define REACH   0.12        /* a correction has halved at this distance from the photo, in short sides */
 
 typedef struct { int w, h; int32_t *value[3], *trust; } level;     /* value Q4; trust 0..256 */
 
@@ -115,6 +115,15 @@ static double smooth(double t)
 
 static int clampi(int v, int lo, int hi) { return v < lo ? lo : v > hi ? hi : v; }
 
+/* Does the footprint at (u, v) touch a masked pixel? */
+static int masked(const orl_blend *b, const uint8_t *mask, int u, int v)
+{
+    for (int y = v >> 8; y << 8 < v + b->box_y; y++)
+        for (int x = u >> 8; x << 8 < u + b->box_x; x++)
+            if (mask[(size_t)y * (size_t)b->pw + (size_t)x]) return 1;
+    return 0;
+}
+
 static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide, const double turn[9], const uint8_t *mask)
 {
     double feather = FEATHER * (b->pw < b->ph ? b->pw : b->ph);
@@ -129,9 +138,9 @@ static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide,
             double dx = uv[0] < b->pw - uv[0] ? uv[0] : b->pw - uv[0], dy = uv[1] < b->ph - uv[1] ? uv[1] : b->ph - uv[1], in = (dx < dy ? dx : dy) / feather;
             b->weight[i] = (uint8_t)(255 * smooth(in) + 0.5);
             b->seam[i] = (uint8_t)(255 * smooth((BAND - in) / BAND * 2) + 0.5);
-            if (mask && mask[(size_t)clampi((int)uv[1], 0, b->ph - 1) * (size_t)b->pw + (size_t)clampi((int)uv[0], 0, b->pw - 1)]) b->seam[i] = 0;
             b->at[2 * i] = clampi((int)(uv[0] * 256 + 0.5) - b->box_x / 2, 0, b->pw * 256 - b->box_x);
             b->at[2 * i + 1] = clampi((int)(uv[1] * 256 + 0.5) - b->box_y / 2, 0, b->ph * 256 - b->box_y);
+            if (mask && masked(b, mask, b->at[2 * i], b->at[2 * i + 1])) b->seam[i] = 0;
             if (b->x0[y] == b->w) b->x0[y] = x;
             b->x1[y] = x + 1;
         }

@@ -44,10 +44,12 @@ static int lost(y4m *y, const char *what)
     return -1;
 }
 
-static int search(y4m *y, const char *what)
+/* read: the n bytes that were read where a FRAME line should stand; they may hold the beginning of the next one. */
+static int search(y4m *y, const char *read, size_t n, const char *what)
 {
     static const char MAGIC[] = "FRAME";
-    int k = 0, c;
+    int k = 0, c = 0;
+    for (size_t i = 0; i < n; i++) k = read[i] == MAGIC[k] ? k + 1 : read[i] == 'F';
     while (k < 5 && (c = getc(y->f)) != EOF) k = c == MAGIC[k] ? k + 1 : c == 'F';
     y->found = k == 5;
     y->ended = k < 5;
@@ -65,10 +67,12 @@ static int y4m_next(orl_source *s, orl_frame *out)
             y->ended = 1;
             return n || ferror(y->f) ? lost(y, "the stream ends within the picture's header") : 0;
         }
-        if (memcmp(line, "FRAME", 5)) return search(y, "no FRAME line");
+        if (memcmp(line, "FRAME", 5)) return search(y, line, 5, "no FRAME line");
     }
     y->found = 0;
-    if (read_line(y->f, line, sizeof line) < 0 || (line[0] && line[0] != ' ')) return search(y, "broken FRAME line");
+    int after = getc(y->f);
+    char c = (char)after;
+    if (after != '\n' && (after != ' ' || read_line(y->f, line, sizeof line) < 0)) return search(y, &c, after != EOF, "broken FRAME line");
     if (fread(y->picture, 1, y->bytes, y->f) != y->bytes) {
         y->ended = 1;
         return lost(y, "the stream ends within the picture");

@@ -20,8 +20,8 @@ static uint32_t state;
 static uint32_t next(void) { return (state = state * 1664525u + 1013904223u) >> 8; }
 
 /* A painted plane z = 10 seen by cameras in a row, each photo in colours of its own. */
+static char dir[64];
 static struct {
-    char dir[64];
     orl_dataset data;
     orl_photo photo[PHOTOS];
     orl_colmap_point point[SIDE * SIDE];
@@ -54,8 +54,8 @@ static orl_image render(const orl_photo *p, int photo)
 static int make_wall(void **s)
 {
     (void)s;
-    strcpy(wall.dir, "/tmp/oriel-eval-XXXXXX");
-    if (!mkdtemp(wall.dir)) return -1;
+    strcpy(dir, "/tmp/oriel-eval-XXXXXX");
+    if (!mkdtemp(dir)) return -1;
     uint32_t nobs = 0;
     for (int i = 0; i < SIDE * SIDE; i++) {
         double x = -6 + 12.0 * (i % SIDE) / (SIDE - 1), y = -5 + 10.0 * (i / SIDE) / (SIDE - 1);
@@ -65,9 +65,10 @@ static int make_wall(void **s)
         orl_photo *p = &wall.photo[i];
         double yaw = 0.02 * (i - 6), q[4] = { cos(yaw / 2), 0, sin(yaw / 2), 0 }, t[3] = { -0.15 * (i - 6), 0.05 * (i % 3), 0.1 * (i % 4) };
         snprintf(p->name, sizeof p->name, "%02d.png", i);
-        snprintf(p->path, sizeof p->path, "%s/%s", wall.dir, p->name);
+        snprintf(p->path, sizeof p->path, "%s/%02d.png", dir, i);
         p->test = i == 0;
-        if (orl_camera_from_params(&p->cam, ORL_CAM_SIMPLE_PINHOLE, W, H, (double[]){ 90, W / 2.0, H / 2.0 }, 3) || orl_pose_from_quat(&p->pose, q, t)) return -1;
+        if (orl_camera_from_params(&p->cam, ORL_CAM_SIMPLE_PINHOLE, W, H, (double[]){ 90, W / 2.0, H / 2.0 }, 3)) return -1;
+        if (orl_pose_from_quat(&p->pose, q, t)) return -1;
         orl_image im = render(p, i);
         orl_err e = orl_image_write(p->path, &im);
         orl_image_free(&im);
@@ -76,11 +77,13 @@ static int make_wall(void **s)
         for (int k = 0; i && k < SIDE * SIDE; k++) {
             double cam[3], uv[2];
             orl_pose_apply(&p->pose, wall.point[k].xyz, cam);
-            if (orl_camera_project(&p->cam, cam, uv) && uv[0] >= 0 && uv[0] < W && uv[1] >= 0 && uv[1] < H) wall.obs[nobs++] = (orl_colmap_obs){ (float)uv[0], (float)uv[1], k };
+            if (orl_camera_project(&p->cam, cam, uv) && uv[0] >= 0 && uv[0] < W && uv[1] >= 0 && uv[1] < H)
+                wall.obs[nobs++] = (orl_colmap_obs){ (float)uv[0], (float)uv[1], k };
         }
         p->obs_count = nobs - p->obs_begin;
     }
-    wall.data = (orl_dataset){ .photos = wall.photo, .nphotos = PHOTOS, .obs = wall.obs, .nobs = nobs, .points = wall.point, .npoints = SIDE * SIDE };
+    wall.data = (orl_dataset){ .photos = wall.photo, .nphotos = PHOTOS, .obs = wall.obs,
+                                .nobs = nobs, .points = wall.point, .npoints = SIDE * SIDE };
     return 0;
 }
 
@@ -88,7 +91,7 @@ static int remove_wall(void **s)
 {
     (void)s;
     for (int i = 0; i < PHOTOS; i++) unlink(wall.photo[i].path);
-    return rmdir(wall.dir);
+    return rmdir(dir);
 }
 
 static double psnr_right(const orl_image *a, const orl_image *b)
@@ -129,7 +132,8 @@ static void warps_fit_a_plane(void **s)
     assert_int_equal(baselines_open(&wall.data, 512, &base), ORL_OK);
     eval_setup setup = { .base = &base, .threads = 1 };
     assert_int_equal(eval_predict(&setup, &wall.photo[0].cam, &wall.photo[0].pose, &photo, W / 2, &p), ORL_OK);
-    double row = psnr_right(&photo, &p.rgb[EVAL_ROW_MEAN]), nearest = psnr_right(&photo, &p.rgb[EVAL_NEAREST]), median = psnr_right(&photo, &p.rgb[EVAL_MEDIAN]);
+    double row = psnr_right(&photo, &p.rgb[EVAL_ROW_MEAN]), nearest = psnr_right(&photo, &p.rgb[EVAL_NEAREST]);
+    double median = psnr_right(&photo, &p.rgb[EVAL_MEDIAN]);
     printf("plane: row mean %.1f, nearest %.1f, median %.1f dB\n", row, nearest, median);
     assert_true(nearest > 30 && median > 30 && row < 25);
     assert_null(p.rgb[EVAL_FIXED].px);
@@ -243,7 +247,8 @@ int main(int argc, char **argv)
     state = argc > 1 ? (uint32_t)strtoul(argv[1], NULL, 0) : 20220610u;
     printf("seed %u\n", state);
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(depth_of_a_plane), cmocka_unit_test(warps_fit_a_plane), cmocka_unit_test(no_geometry), cmocka_unit_test(warps_see_the_left_half_only),
+        cmocka_unit_test(depth_of_a_plane), cmocka_unit_test(warps_fit_a_plane), cmocka_unit_test(no_geometry),
+        cmocka_unit_test(warps_see_the_left_half_only),
         cmocka_unit_test(adaptation_sees_the_left_half_only),
     };
     return cmocka_run_group_tests(tests, make_wall, remove_wall);

@@ -91,6 +91,7 @@ static void gradients_match_finite_differences(void **state)
         stage1 s;
         make_world(&w);
         assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 100, 7, 1 }), ORL_OK);
+        s.fade = 0;
         s.step = transient ? 21 : 0;            /* the transient branch joins at a fifth of the run */
         rng r = rng_make(3, 0, 0);
         for (int l = 0; l < FEAT_LEVELS; l++) for (size_t i = 0; i < s.feat[l].nverts * FEAT; i++) s.feat[l].p[i] = 0.2f * rng_normal(&r);

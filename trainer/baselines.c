@@ -20,7 +20,9 @@ static int by_score(const void *a, const void *b)
 
 orl_err baselines_open(const orl_dataset *d, int long_side, baselines *out)
 {
-    baselines b = { .data = d, .long_side = long_side, .photo = calloc(d->nphotos + 1u, sizeof *b.photo), .cam = calloc(d->nphotos + 1u, sizeof *b.cam) };
+    baselines b = { .data = d, .long_side = long_side };
+    b.photo = calloc(d->nphotos + 1u, sizeof *b.photo);
+    b.cam = calloc(d->nphotos + 1u, sizeof *b.cam);
     if (!b.photo || !b.cam) {
         free(b.photo); free(b.cam);
         return orl_fail(ORL_E_MEMORY, "%s: no memory for %u photos", d->dir, d->nphotos);
@@ -240,7 +242,8 @@ static float closeness(const orl_camera *view, const orl_pose *pose, const doubl
 }
 
 /* Samples a photo at every pixel of the view; ok = 0 where it does not see it. */
-static void warp(const orl_camera *view, const double *xyz, const orl_image *im, const orl_camera *cam, const orl_pose *from, float *rgb, uint8_t *ok)
+static void warp(const orl_camera *view, const double *xyz, const orl_image *im, const orl_camera *cam,
+                 const orl_pose *from, float *rgb, uint8_t *ok)
 {
     size_t n = (size_t)view->w * (size_t)view->h;
     for (size_t i = 0; i < n; i++) {

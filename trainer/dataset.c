@@ -86,7 +86,7 @@ static orl_err find_layout(const char *dir, char *photos, char *sparse, char *ts
     for (int b = 0; b < 2; b++)
         for (int i = 0; i < 2; i++) {
             snprintf(probe, sizeof probe, "%s%s/%s", dir, BASE[b], PHOTOS[i]);
-            if (!photos[0] && exists(probe)) snprintf(photos, cap, "%s", probe);
+            if (!photos[0] && exists(probe)) snprintf(photos, cap, "%.*s", (int)cap - 1, probe);
             for (int k = 0; k < 2; k++) {
                 snprintf(probe, sizeof probe, "%s%s/%s/cameras.%s", dir, BASE[b], SPARSE[i], k ? "txt" : "bin");
                 if (!sparse[0] && exists(probe)) snprintf(sparse, cap, "%s%s/%s", dir, BASE[b], SPARSE[i]);

@@ -67,7 +67,8 @@ static orl_err open_view(const orl_scene *s, const orl_camera *cam, const orl_po
 {
     size_t need = orl_view_need(cam->w, cam->h);
     *mem = block(need);
-    return *mem ? orl_view_build(s, cam, pose, 2, threads, *mem, need, v) : orl_fail(ORL_E_MEMORY, "eval: no memory for a view of %d x %d", cam->w, cam->h);
+    if (!*mem) return orl_fail(ORL_E_MEMORY, "eval: no memory for a view of %d x %d", cam->w, cam->h);
+    return orl_view_build(s, cam, pose, 2, threads, *mem, need, v);
 }
 
 static orl_err adapt_view(const orl_scene *s, const orl_view *v, const orl_image *known, orl_adapt_result *out)
@@ -111,7 +112,8 @@ static orl_err shade_view(orl_view *v, const orl_light *light, unsigned cpu, orl
     return e;
 }
 
-static orl_err predict_fixed(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *known, orl_adapt_result *fit, orl_image *out)
+static orl_err predict_fixed(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *known,
+                             orl_adapt_result *fit, orl_image *out)
 {
     orl_view v;
     void *mem = NULL;
@@ -126,7 +128,8 @@ static orl_err predict_fixed(const eval_setup *s, const orl_camera *cam, const o
     return e;
 }
 
-static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *known, orl_adapt_result *fit, orl_image *out)
+static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *known,
+                             orl_adapt_result *fit, orl_image *out)
 {
     size_t pixels = (size_t)cam->w * (size_t)cam->h;
     int cap = 2 * PIXELS;
@@ -135,7 +138,8 @@ static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const o
     spot *at = malloc((size_t)cap * sizeof *at);
     orl_light *light = malloc(sizeof *light);
     orl_imagef im = { 0 };
-    orl_err e = g && sample && at && light ? orl_imagef_alloc(&im, cam->w, cam->h, 3) : orl_fail(ORL_E_MEMORY, "eval: no memory for %zu samples", pixels);
+    orl_err e = g && sample && at && light ? orl_imagef_alloc(&im, cam->w, cam->h, 3)
+                                           : orl_fail(ORL_E_MEMORY, "eval: no memory for %zu samples", pixels);
     if (e) goto done;
     orl_model_gbuffer(s->model, cam, pose, s->threads, g, NULL);
     int n = pick(known->w, known->h, at, cap);
@@ -217,7 +221,8 @@ static orl_err write_sheet(const char *dir, const char *name, const orl_image *p
     memset(sheet.px, 255, (size_t)sheet.w * (size_t)sheet.h * 3);
     for (int k = 0; k < n; k++)
         for (int y = 0; y < photo->h; y++)
-            memcpy(sheet.px + ((size_t)y * (size_t)sheet.w + (size_t)(k * (photo->w + GAP))) * 3, im[k]->px + (size_t)y * (size_t)photo->w * 3, (size_t)photo->w * 3);
+            memcpy(sheet.px + ((size_t)y * (size_t)sheet.w + (size_t)(k * (photo->w + GAP))) * 3,
+                   im[k]->px + (size_t)y * (size_t)photo->w * 3, (size_t)photo->w * 3);
     char path[4096], stem[256];
     snprintf(stem, sizeof stem, "%s", name);
     char *dot = strrchr(stem, '.');
@@ -253,7 +258,8 @@ static void print_json(const char *scene, const options *o, const row *rows, int
 {
     printf("{\"scene\": ");
     json_string(scene);
-    printf(", \"protocol\": \"%s, %d px long side, right half scored\", \"photos\": [", o->full_adapt ? "adapted on the whole photo" : "half-photo", o->long_side);
+    printf(", \"protocol\": \"%s, %d px long side, right half scored\", \"photos\": [",
+           o->full_adapt ? "adapted on the whole photo" : "half-photo", o->long_side);
     for (int i = 0; i < n; i++) {
         printf("%s{\"name\": ", i ? ", " : "");
         json_string(rows[i].name);
@@ -301,7 +307,8 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
     int n = 0;
     orl_err e = rows ? baselines_open(data, o->long_side, &base) : orl_fail(ORL_E_MEMORY, "eval: no memory for scores");
     eval_setup setup = { .scene = scene, .model = model, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
-    if (!e && o->out && mkdir(o->out, 0777) && errno != EEXIST) e = orl_fail(ORL_E_IO, "%s: cannot make the folder: %s", o->out, strerror(errno));
+    if (!e && o->out && mkdir(o->out, 0777) && errno != EEXIST)
+        e = orl_fail(ORL_E_IO, "%s: cannot make the folder: %s", o->out, strerror(errno));
     for (uint32_t i = 0; !e && i < data->nphotos && (!o->limit || n < o->limit); i++) {
         const orl_photo *p = &data->photos[i];
         if (!p->test || (o->photo && strcmp(o->photo, p->name))) continue;
@@ -329,7 +336,9 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
         orl_image_free(&photo);
         n += !e;
     }
-    if (!e && !n) e = o->photo ? orl_fail(ORL_E_RANGE, "%s: no test photo %s", o->dir, o->photo) : orl_fail(ORL_E_RANGE, "%s: no test photos (split.tsv names them)", o->dir);
+    if (!e && !n)
+        e = o->photo ? orl_fail(ORL_E_RANGE, "%s: no test photo %s", o->dir, o->photo)
+                     : orl_fail(ORL_E_RANGE, "%s: no test photos (split.tsv names them)", o->dir);
     if (!e) {
         memcpy(mean.has, rows[0].has, sizeof mean.has);
         for (int i = 0; i < n; i++)
@@ -523,7 +532,8 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
             if (!e) e = open_view(s, &cam, &p->pose, o->threads, &small, &mem2);
             if (!e) e = adapt_view(s, &small, &known, &fit);
             if (!e) {
-                double az = fit.code[ORL_C_SUN_AZ], el = fit.code[ORL_C_SUN_EL], ours[3] = { cos(az) * cos(el), sin(az) * cos(el), sin(el) }, dot = 0;
+                double az = fit.code[ORL_C_SUN_AZ], el = fit.code[ORL_C_SUN_EL], dot = 0;
+                double ours[3] = { cos(az) * cos(el), sin(az) * cos(el), sin(el) };
                 for (int k = 0; k < 3; k++) dot += ours[k] * (R[3 * k] * sun[0] + R[3 * k + 1] * sun[1] + R[3 * k + 2] * sun[2]);
                 suns[nsuns++] = acos(fmin(fmax(dot, -1), 1)) * 180 / 3.14159265358979;
             }
@@ -564,7 +574,8 @@ static orl_err kiosk(const orl_dataset *d, const orl_scene *s, const options *o,
         e = orl_image_read(path, 3, &truth);
         snprintf(path, sizeof path, "%s/kiosk/frames/%04d.jpg", d->dir, f);
         if (!e) e = orl_image_read(path, 3, &frame);
-        if (!e && (frame.w != near.w || frame.h != near.h || truth.w != wide.w || truth.h != wide.h)) e = orl_fail(ORL_E_FORMAT, "%s: frame or truth not of the camera's size", path);
+        if (!e && (frame.w != near.w || frame.h != near.h || truth.w != wide.w || truth.h != wide.h))
+            e = orl_fail(ORL_E_FORMAT, "%s: frame or truth not of the camera's size", path);
         if (!e) e = adapt_view(s, &near, &frame, &fit);
         if (!e) {
             orl_light_decode(&s->light, fit.code, light);
@@ -645,11 +656,13 @@ static int number(const char *text, int lo, int hi, int *out)
 
 int cmd_eval(int argc, char **argv)
 {
-    enum { SCENE = 256, CHECKPOINT, BASELINES, PHOTO, LIMIT, LONG_SIDE, FULL, OUT, GEOMETRY, FACTORS, KIOSK, THREADS, JSON, NERFW, REALISM, HELP_ME };
+    enum { SCENE = 256, CHECKPOINT, BASELINES, PHOTO, LIMIT, LONG_SIDE, FULL, OUT, GEOMETRY, FACTORS, KIOSK, THREADS, JSON,
+           NERFW, REALISM, HELP_ME };
     static const struct option longs[] = {
-        { "scene", 1, 0, SCENE }, { "checkpoint", 1, 0, CHECKPOINT }, { "baselines-only", 0, 0, BASELINES }, { "photo", 1, 0, PHOTO }, { "limit", 1, 0, LIMIT },
-        { "long-side", 1, 0, LONG_SIDE }, { "full-adapt", 0, 0, FULL }, { "out", 1, 0, OUT }, { "geometry", 0, 0, GEOMETRY }, { "factors", 0, 0, FACTORS },
-        { "kiosk", 0, 0, KIOSK }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "nerfw", 1, 0, NERFW }, { "realism", 1, 0, REALISM }, { "help", 0, 0, HELP_ME }, { 0 },
+        { "scene", 1, 0, SCENE }, { "checkpoint", 1, 0, CHECKPOINT }, { "baselines-only", 0, 0, BASELINES }, { "photo", 1, 0, PHOTO },
+        { "limit", 1, 0, LIMIT }, { "long-side", 1, 0, LONG_SIDE }, { "full-adapt", 0, 0, FULL }, { "out", 1, 0, OUT },
+        { "geometry", 0, 0, GEOMETRY }, { "factors", 0, 0, FACTORS }, { "kiosk", 0, 0, KIOSK }, { "threads", 1, 0, THREADS },
+        { "json", 0, 0, JSON }, { "nerfw", 1, 0, NERFW }, { "realism", 1, 0, REALISM }, { "help", 0, 0, HELP_ME }, { 0 },
     };
     options o = { .long_side = 512 };
     int c, ok = 1;

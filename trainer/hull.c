@@ -1,5 +1,5 @@
 /* First SDF by space carving: a voxel is free where photos see sky through it, or where it lies before the depth that SfM points of a photo suggest (push-pull interpolated).
- * What nobody carves stays solid, so the hull has no fog behind surfaces and no shell in the sky; volume rendering refines it. */
+ * What lies behind that depth in the photos that see it stays solid, and so does the ground, so the hull has no fog behind surfaces and no shell in the sky; volume rendering refines it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -66,7 +66,7 @@ static void carve_range(void *user, int begin, int end)
             for (int x = 0; x < j->n[0]; x++) {
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
                 int seen = 0, sky = 0;
-                float free_votes = 0, solid_votes = 0;
+                float free_votes = 0, solid_votes = 0, behind_votes = 0;
                 for (int k = 0; k < w->nphotos; k++) {
                     const world_photo *p = &w->photos[k];
                     double uv[2], depth;
@@ -86,9 +86,11 @@ static void carve_range(void *user, int begin, int end)
                     float surface = 1.0f / m->inv[my][mx];
                     if ((float)depth < surface * NEAR[level] - (float)j->cell) free_votes += CONF[level];
                     else if (level <= 2 && (float)depth < surface * 1.03f + 2.0f * (float)j->cell) solid_votes += CONF[level];
+                    else behind_votes += CONF[level];
                 }
                 int carved = sky >= 2 && sky * 8 >= seen;
                 if (sky == 1 && seen <= 2) carved = 1;
+                if (free_votes + solid_votes + behind_votes == 0) carved = 1;      /* nothing known: open, the ground apart */
                 if (free_votes > 0.24f + 0.7f * solid_votes) carved = 1;
                 if (g[2] < w->frame.ground - (float)j->cell) carved = 0;
                 j->solid[((size_t)z * j->n[1] + y) * (size_t)j->n[0] + x] = !carved;

@@ -110,8 +110,12 @@ orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0
 /* ---- FLIP ---- */
 
 /* XYZ of linear sRGB, divided by the white point, and its inverse: white is (1, 1, 1) on both sides. */
-static const double XYZ[3][3] = { { 0.4123907993, 0.3575843394, 0.1804807884 }, { 0.2126390059, 0.7151686788, 0.0721923154 }, { 0.0193308187, 0.1191947798, 0.9505321522 } };
-static const double RGB[3][3] = { { 3.2409699419, -1.5373831776, -0.4986107603 }, { -0.9692436363, 1.8759675015, 0.0415550574 }, { 0.0556300797, -0.2039769589, 1.0569715142 } };
+static const double XYZ[3][3] = {
+    { 0.4123907993, 0.3575843394, 0.1804807884 }, { 0.2126390059, 0.7151686788, 0.0721923154 }, { 0.0193308187, 0.1191947798, 0.9505321522 },
+};
+static const double RGB[3][3] = {
+    { 3.2409699419, -1.5373831776, -0.4986107603 }, { -0.9692436363, 1.8759675015, 0.0415550574 }, { 0.0556300797, -0.2039769589, 1.0569715142 },
+};
 
 static void xyz_from_rgb(const double rgb[3], double xyz[3])
 {
@@ -208,9 +212,11 @@ static void perceive(const orl_imagef *im, int x0, int x1, float *lab, float *fe
     taps a = gauss_csf(0.0047, radius), rg = gauss_csf(0.0053, radius), by1 = gauss_csf(0.04, radius), by2 = gauss_csf(0.025, radius);
     filter(lab, w, h, a.k, a.k, radius, work, lab);
     filter(lab + n, w, h, rg.k, rg.k, radius, work, lab + n);
-    filter(lab + 2 * n, w, h, by1.k, by1.k, radius, work, fx);     /* blue-yellow: two Gaussians, weighted by their share of the whole kernel (centre tap = 1 / sum) */
+    /* Blue-yellow: two Gaussians, weighted by their share of the whole kernel (a centre tap is 1 / sum). */
+    filter(lab + 2 * n, w, h, by1.k, by1.k, radius, work, fx);
     filter(lab + 2 * n, w, h, by2.k, by2.k, radius, work, fy);
-    double s1 = 34.1 * sqrt(PI / 0.04) / ((double)by1.k[radius] * by1.k[radius]), s2 = 13.5 * sqrt(PI / 0.025) / ((double)by2.k[radius] * by2.k[radius]);
+    double s1 = 34.1 * sqrt(PI / 0.04) / ((double)by1.k[radius] * by1.k[radius]);
+    double s2 = 13.5 * sqrt(PI / 0.025) / ((double)by2.k[radius] * by2.k[radius]);
     float share = (float)(s1 / (s1 + s2));
     for (size_t i = 0; i < n; i++) {
         double yxz[3] = { lab[i], lab[n + i], share * fx[i] + (1 - share) * fy[i] }, xyz[3], rgb[3], out[3];

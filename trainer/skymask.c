@@ -11,7 +11,7 @@
 
 enum { COARSE = 256, FINE = 512, ROUNDS = 4, SWEEPS = 40, BINS = 24, CELLS = BINS * BINS * BINS };
 #define BLOCKED 9.0f             /* barrier of what cannot be reached */
-#define HARD 2.0f               /* px at COARSE: this near to an SfM point nothing is sky */
+#define HARD 1.2f               /* px at COARSE: this near to an SfM point nothing is sky */
 
 typedef struct {
     int w, h;
@@ -96,7 +96,21 @@ static void find_texture(level *l)
             int i = y * w + x;
             l->goal[i] = step_between(l, i, x + 1 < w ? i + 1 : i) + step_between(l, i, y + 1 < h ? i + w : i);
         }
-    box_mean(l->goal, w, h, (int)(2 * l->unit + 0.5f), l->lambda, l->texture);
+    int r = (int)(2 * l->unit + 0.5f);
+    box_mean(l->goal, w, h, r, l->lambda, l->base);
+    /* The smoothest of the windows that hold the pixel, so that sky beside an edge stays smooth. */
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            float m = l->base[y * w + x];
+            for (int k = -r; k <= r; k++) if (x + k >= 0 && x + k < w) m = fminf(m, l->base[y * w + x + k]);
+            l->lambda[y * w + x] = m;
+        }
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            float m = l->lambda[y * w + x];
+            for (int k = -r; k <= r; k++) if (y + k >= 0 && y + k < h) m = fminf(m, l->lambda[(y + k) * w + x]);
+            l->texture[y * w + x] = m;
+        }
 }
 
 /* Chamfer distance (3-4) to the points, in px at COARSE. */
@@ -148,7 +162,7 @@ static void find_up(level *l, const orl_camera *cam, const double up[3], const f
             const float *above = l->cover + (size_t)(y - 1) * w, *here = count + (size_t)(y - 1) * w;
             l->cover[y * w + x] = (above[a] + here[a]) * (1 - f) + (above[b] + here[b]) * f;
         }
-    int r = (int)(4 * l->unit + 0.5f);
+    int r = (int)(3 * l->unit + 0.5f);
     memcpy(count, l->cover, (size_t)w * h * sizeof *count);
     for (int y = 0; y < h; y++) box_mean(count + (size_t)y * w, w, 1, r, tmp, l->cover + (size_t)y * w);
     for (int i = 0; i < w * h; i++) {
@@ -257,7 +271,7 @@ static void weigh(level *l, float scene)
 {
     for (int i = 0; i < l->w * l->h; i++) {
         float u = 1.2f;
-        u += 1.5f * clampf(logf(0.35f * scene / (l->texture[i] + 0.002f)), -2, 1);
+        u += 1.5f * clampf(logf(0.25f * scene / (l->texture[i] + 0.002f)), -2, 1);
         u += 0.7f * clampf(logf(0.3f * scene / (l->barrier[i] + 0.002f)), -2, 1);
         u -= 4 * l->cover[i];
         u -= 3 * clampf(1 - l->elevation[i] / 0.05f, 0, 2);
@@ -319,8 +333,56 @@ static void smooth_cells(float *v)
         }
 }
 
-static void colours_learn(colours *c, const level *l, float *sky, float *scene)
+/* 1 within a few pixels of sky, where blur and misplaced points mix the two, else 0. Uses lambda. */
+static void find_rim(level *l, float *rim)
 {
+    int w = l->w, h = l->h;
+    for (int i = 0; i < w * h; i++) rim[i] = l->x[i] > 0.5f;
+    box_mean(rim, w, h, (int)(4 * l->unit + 0.5f), l->lambda, rim);
+    for (int i = 0; i < w * h; i++) rim[i] = rim[i] > 0;
+}
+
+/* Parts of sky (x > 1/2, 4-connected) apart from the largest one must share its colours, or they are unknown: dome panels, panes, bright walls. So is a largest one that is tiny. */
+static orl_err question_parts(level *l, const colours *c, float *hist)
+{
+    int w = l->w, n = w * l->h, parts = 0, best = -1, most = 0;
+    int *label = malloc((size_t)n * 2 * sizeof *label), *stack = label + n;
+    if (!label) return orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", w, l->h);
+    for (int i = 0; i < n; i++) label[i] = l->x[i] > 0.5f ? -1 : -2;
+    for (int seed = 0; seed < n; seed++) {
+        if (label[seed] != -1) continue;
+        int top = 0, size = 0;
+        label[stack[top++] = seed] = parts;
+        while (top) {
+            int i = stack[--top], x = i % w;
+            size++;
+            const int to[4] = { x ? i - 1 : -1, x + 1 < w ? i + 1 : -1, i - w, i + w < n ? i + w : -1 };
+            for (int q = 0; q < 4; q++) if (to[q] >= 0 && label[to[q]] == -1) label[stack[top++] = to[q]] = parts;
+        }
+        if (size > most) { most = size; best = parts; }
+        parts++;
+    }
+    memset(hist, 0, CELLS * sizeof *hist);
+    for (int i = 0; i < n; i++) if (label[i] == best && best >= 0) hist[colours_cell(c, l, i)] += 1;
+    for (int pass = 0; pass < 2; pass++) smooth_cells(hist);
+    float *shared = calloc((size_t)parts + 1, 2 * sizeof *shared), *size = shared + parts;
+    if (!shared) { free(label); return orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d parts", parts); }
+    for (int i = 0; i < n; i++)
+        if (label[i] >= 0) {
+            size[label[i]] += 1;
+            shared[label[i]] += hist[colours_cell(c, l, i)] > 2.0f * (float)most / CELLS;
+        }
+    for (int i = 0; i < n; i++)
+        if (label[i] >= 0 && (shared[label[i]] < 0.5f * size[label[i]] || most < n / 2000)) l->x[i] = 0.5f;
+    free(shared);
+    free(label);
+    return ORL_OK;
+}
+
+static void colours_learn(colours *c, level *l, float *sky, float *scene)
+{
+    float *rim = l->goal;
+    find_rim(l, rim);
     double ssky = 0, sscene = 0;
     memset(sky, 0, CELLS * sizeof *sky);
     memset(scene, 0, CELLS * sizeof *scene);
@@ -328,6 +390,7 @@ static void colours_learn(colours *c, const level *l, float *sky, float *scene)
         if (l->blank[i]) continue;
         int cell = colours_cell(c, l, i);
         float a = clampf(2 * l->x[i] - 1, 0, 1), b = clampf(1 - 2 * l->x[i], 0, 1);
+        b *= 1 - rim[i];
         sky[cell] += a;
         scene[cell] += b;
         ssky += a;
@@ -344,11 +407,12 @@ static void colours_learn(colours *c, const level *l, float *sky, float *scene)
 static void combine(level *l, const colours *c)
 {
     for (int i = 0; i < l->w * l->h; i++) {
-        float near = c ? 1.5f * expf(-l->dist[i] / 3) : 4 * expf(-l->dist[i] / 5);     /* before colour is known, keep well away from points */
-        float u = l->base[i] - near + (c ? c->ratio[colours_cell(c, l, i)] : 0);
+        float near = c ? expf(-l->dist[i] / 2) : 3 * expf(-l->dist[i] / 4);     /* before colour is known, keep well away from points */
+        float colour = c ? c->ratio[colours_cell(c, l, i)] : 0, u = l->base[i] - near + colour;
         l->goal[i] = sigmoid(u);
-        l->lambda[i] = 0.002f + 0.05f * fabsf(2 * l->goal[i] - 1);
-        if (l->dist[i] < 1.2f || l->elevation[i] < -0.07f) { l->goal[i] = 0; l->lambda[i] = 2; }
+        l->lambda[i] = 0.002f + 0.15f * fabsf(2 * l->goal[i] - 1);
+        if (l->dist[i] < 0.8f && colour < 1) { l->goal[i] = 0; l->lambda[i] = 0.5f; }       /* a point over plain sky is one that lies badly */
+        if (l->elevation[i] < -0.07f) { l->goal[i] = 0; l->lambda[i] = 2; }
         if (l->blank[i]) l->lambda[i] = 1e-4f;
     }
 }
@@ -456,6 +520,7 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     combine(&fine, c);
     stretch(coarse.x, coarse.w, coarse.h, fine.x, fine.w, fine.h);
     solve(&fine, SWEEPS / 2);
+    if ((e = question_parts(&fine, c, cells))) goto done;
 
     full = malloc((size_t)photo->w * photo->h * sizeof *full);
     if (!full) { e = orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", photo->w, photo->h); goto done; }

@@ -21,7 +21,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define LAMBDA_EIKONAL 0.01f
 #define LAMBDA_SMOOTH 0.01f
 #define LAMBDA_POINT 0.02f
-#define LAMBDA_FREE 0.02f
+#define LAMBDA_FREE 0.05f
 #define LAMBDA_TRANSIENT 0.012f
 
 orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
@@ -29,6 +29,7 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
     memset(s, 0, sizeof *s);
     s->w = w;
     s->opt = *opt;
+    s->fade = 1;
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < SDF_LEVELS; l++) e = grid_init(&s->sdf[l], w->frame.dims, SDF_CELL[l], 1, opt->threads);
     for (int l = 0; !e && l < FEAT_LEVELS; l++) e = grid_init(&s->feat[l], w->frame.dims, FEAT_CELL[l], FEAT, opt->threads);
@@ -203,7 +204,7 @@ static void train_free(step_job *job, int thread, rng *r, const float o[3], cons
     for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
     grid_cell hc;
     grid_find(&s->hull, x, &hc);
-    float want = 0.5f * grid_value(&s->hull, &hc, NULL);
+    float want = 0.7f * grid_value(&s->hull, &hc, NULL);
     if (want < 0.5f) return;
     sdf_point e;
     sdf_eval(s, job->c.finest, x, &e);
@@ -326,11 +327,15 @@ static void train_ray(step_job *job, int thread, rng *r)
     float inv_s = 1 / c->sigma, later = 0, carry = 0;   /* later = sum_{j>k} g_j w_j; carry = d loss / d f_k from the sample behind it */
     for (int k = n - 1; k >= 0; k--) {
         ray_sample *q = &ray[k];
-        float g = g_w;
+        float g = g_w, dist = 0;
+        for (int a = 0; a < 3; a++) dist += (q->x[a] - o[a]) * d[a];
+        /* Near a camera few others look on and floaters grow: gradients fade there (Philip & Deschaintre 2023). */
+        float near = dist < p->near ? dist * dist / (p->near * p->near) : 1;
+        if (!s->fade) near = 1;
         if (!sky && q->weight >= 1e-3f) {
             v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
             for (int a = 0; a < 8; a++) g += m[a];
-            v8 dh[2] = { q->weight * dH[0], q->weight * dH[1] };
+            v8 dh[2] = { near * q->weight * dH[0], near * q->weight * dH[1] };
             for (int lv = 0; lv < FEAT_LEVELS; lv++) grid_vector_back(&s->feat[lv], thread, &q->fc[lv], 2, dh);
         }
         float ratio = 1 - q->alpha;
@@ -339,8 +344,8 @@ static void train_ray(step_job *job, int thread, rng *r)
         float df = carry;
         carry = 0;
         if (q->alpha > 0) {
-            df -= da * ratio * (1 - q->s_val) * inv_s;
-            if (q->chained) carry = da * ratio * (1 - ray[k - 1].s_val) * inv_s;
+            df -= near * da * ratio * (1 - q->s_val) * inv_s;
+            if (q->chained) carry = near * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
         }
         float norm = sqrtf(q->p.grad[0] * q->p.grad[0] + q->p.grad[1] * q->p.grad[1] + q->p.grad[2] * q->p.grad[2]) + 1e-6f;
         float ek = LAMBDA_EIKONAL * 2 * (norm - 1) / norm;

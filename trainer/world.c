@@ -202,7 +202,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
     world w = { 0 };
     orl_err e = place(d, longest, &w.frame);
     if (e) return e;
-    snprintf(w.title, sizeof w.title, "%s", d->name);
+    snprintf(w.title, sizeof w.title, "%.63s", d->name);
     uint32_t *index = malloc(d->nphotos * sizeof *index);
     orl_err *errs = calloc(d->nphotos, sizeof *errs);
     w.photos = calloc(d->nphotos, sizeof *w.photos);
@@ -229,6 +229,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_count = w.nobs - o->obs_begin;
         w.photos[kept++] = *o;
     }
+    
     w.nphotos = kept;
     if (kept < 2) { e = orl_fail(ORL_E_DEGENERATE, "%s: fewer than two photos load", d->dir); goto done; }
     w.npoints = d->npoints;
@@ -239,6 +240,15 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         float t = (float)d->points[i].track_length, r = d->points[i].error_px;
         w.points[i].weight = (t / (t + 3.0f)) / (1.0f + r * r);
     }
+    double *depth = malloc((w.nobs + 1) * sizeof *depth);
+    for (int k = 0; depth && k < kept; k++) {
+        world_photo *p = &w.photos[k];
+        double uv[2], z;
+        int n = 0;
+        for (uint32_t i = 0; i < p->obs_count; i++) if (world_project(p, w.points[w.obs[p->obs_begin + i].point].x, uv, &z)) depth[n++] = z;
+        p->near = n ? (float)(0.5 * percentile(depth, n, 0.5)) : 0;
+    }
+    free(depth);
     *out = w;
     memset(&w, 0, sizeof w);
 done:

@@ -17,6 +17,7 @@ typedef struct {
     orl_pose pose;
     double centre[3];               /* grid frame */
     double axes[9];                 /* grid direction = axes * camera direction (row-major rotation) */
+    float near;                     /* half the median depth of its SfM points, fine cells: what is nearer than this teaches less */
     int w, h;
     uint8_t *rgb;                   /* w * h * 3, sRGB */
     uint8_t *sky;                   /* w * h: 255 surely sky .. 0 surely scene */

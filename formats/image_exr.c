@@ -1,0 +1,156 @@
+/* OpenEXR through its C core API: scan lines, linear float in memory, half in files. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include "oriel/image.h"
+#ifdef ORL_HAVE_EXR
+#include <fcntl.h>
+#include <openexr.h>
+
+static void quiet(exr_const_context_t c, exr_result_t code, const char *msg) { (void)c; (void)code; (void)msg; }
+
+/* Index of a channel by name among comma-separated names, or by letter where names has no comma. */
+static int wanted(const char *names, const char *channel)
+{
+    if (!strchr(names, ',')) {
+        const char *p = strlen(channel) == 1 ? strchr(names, channel[0]) : NULL;
+        return p ? (int)(p - names) : -1;
+    }
+    size_t n = strlen(channel);
+    int k = 0;
+    for (const char *p = names; p; k++) {
+        if (!strncmp(p, channel, n) && (p[n] == ',' || !p[n])) return k;
+        p = strchr(p, ',');
+        if (p) p++;
+    }
+    return -1;
+}
+
+static int name_count(const char *names)
+{
+    if (!strchr(names, ',')) return (int)strlen(names);
+    int n = 1;
+    for (; *names; names++) n += *names == ',';
+    return n;
+}
+
+orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
+{
+    exr_context_t f = NULL;
+    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    exr_attr_box2i_t win;
+    exr_storage_t kind;
+    int32_t lines = 1;
+    orl_imagef o = { 0 };
+    init.error_handler_fn = quiet;
+    if (exr_start_read(&f, path, &init)) return orl_fail(ORL_E_FORMAT, "%s: not an OpenEXR file that can be read", path);
+    orl_err e = ORL_OK;
+    int c = name_count(names), have = 0;
+    if (exr_get_storage(f, 0, &kind) || kind != EXR_STORAGE_SCANLINE) e = orl_fail(ORL_E_UNSUPPORTED, "%s: only scan-line files are read", path);
+    else if (exr_get_data_window(f, 0, &win) || exr_get_scanlines_per_chunk(f, 0, &lines) || lines < 1) e = orl_fail(ORL_E_FORMAT, "%s: data window", path);
+    else {
+        int64_t w = (int64_t)win.max.x - win.min.x + 1, h = (int64_t)win.max.y - win.min.y + 1;
+        if (w < 1 || h < 1 || w > ORL_IMAGE_MAX_SIDE || h > ORL_IMAGE_MAX_SIDE) e = orl_fail(ORL_E_RANGE, "%s: data window %lld x %lld", path, (long long)w, (long long)h);
+        else e = orl_imagef_alloc(&o, (int)w, (int)h, c);
+    }
+    exr_decode_pipeline_t d = EXR_DECODE_PIPELINE_INITIALIZER;
+    int ready = 0;
+    for (int y = 0; !e && y < o.h; y += lines) {
+        exr_chunk_info_t chunk;
+        int bad = exr_read_scanline_chunk_info(f, 0, win.min.y + y, &chunk) != EXR_ERR_SUCCESS;
+        bad = bad || (ready ? exr_decoding_update(f, 0, &chunk, &d) : exr_decoding_initialize(f, 0, &chunk, &d)) != EXR_ERR_SUCCESS;
+        have = 0;
+        for (int k = 0; !bad && k < d.channel_count; k++) {
+            exr_coding_channel_info_t *ch = &d.channels[k];
+            int at = wanted(names, ch->channel_name);
+            ch->decode_to_ptr = NULL;
+            if (at < 0 || ch->x_samples != 1 || ch->y_samples != 1) continue;
+            have++;
+            ch->decode_to_ptr = (uint8_t *)(o.px + (size_t)y * (size_t)o.w * (size_t)c + (size_t)at);
+            ch->user_pixel_stride = 4 * c;
+            ch->user_line_stride = 4 * c * o.w;
+            ch->user_bytes_per_element = 4;
+            ch->user_data_type = EXR_PIXEL_FLOAT;
+        }
+        if (!bad && have != c) e = orl_fail(ORL_E_FORMAT, "%s: channels %s are not all there", path, names);
+        if (!bad && !e && !ready) bad = exr_decoding_choose_default_routines(f, 0, &d) != EXR_ERR_SUCCESS;
+        ready = 1;
+        if (!e && (bad || exr_decoding_run(f, 0, &d) != EXR_ERR_SUCCESS)) e = orl_fail(ORL_E_FORMAT, "%s: line %d does not decode", path, y);
+    }
+    if (ready) exr_decoding_destroy(f, &d);
+    exr_finish(&f);
+    if (e) { orl_imagef_free(&o); return e; }
+    for (size_t i = 0, n = (size_t)o.w * (size_t)o.h * (size_t)c; i < n; i++) if (!isfinite(o.px[i])) o.px[i] = o.px[i] > 0 ? 65504.0f : 0.0f;
+    *out = o;
+    return ORL_OK;
+}
+
+typedef struct { char name[64]; int at; } channel;
+static int by_channel(const void *a, const void *b) { return strcmp(((const channel *)a)->name, ((const channel *)b)->name); }
+
+orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
+{
+    char tmp[4200];
+    channel ch[16];
+    int c = 0;
+    for (const char *p = names; c < 16; c++) {
+        size_t n = strcspn(p, ",");
+        if (n == 0 || n >= sizeof ch[c].name) return orl_fail(ORL_E_RANGE, "%s: channel names %s", path, names);
+        memcpy(ch[c].name, p, n);
+        ch[c].name[n] = 0;
+        ch[c].at = c;
+        p += n;
+        if (!*p++) { c++; break; }
+    }
+    if (c != im->c) return orl_fail(ORL_E_RANGE, "%s: %d channel names for %d channels", path, c, im->c);
+    qsort(ch, (size_t)c, sizeof *ch, by_channel);   /* files list channels by name */
+    snprintf(tmp, sizeof tmp, "%s.tmp%ld", path, (long)getpid());
+    exr_context_t f = NULL;
+    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    init.error_handler_fn = quiet;
+    int part = 0, bad = exr_start_write(&f, tmp, EXR_WRITE_FILE_DIRECTLY, &init) != EXR_ERR_SUCCESS;
+    if (bad) return orl_fail(ORL_E_IO, "%s: cannot be written", path);
+    bad = exr_add_part(f, "rgb", EXR_STORAGE_SCANLINE, &part) != EXR_ERR_SUCCESS || exr_initialize_required_attr_simple(f, part, im->w, im->h, EXR_COMPRESSION_ZIP) != EXR_ERR_SUCCESS;
+    for (int k = 0; !bad && k < c; k++) bad = exr_add_channel(f, part, ch[k].name, EXR_PIXEL_HALF, EXR_PERCEPTUALLY_LINEAR, 1, 1) != EXR_ERR_SUCCESS;
+    int32_t lines = 1;
+    bad = bad || exr_write_header(f) != EXR_ERR_SUCCESS || exr_get_scanlines_per_chunk(f, part, &lines) != EXR_ERR_SUCCESS;
+    exr_encode_pipeline_t e = EXR_ENCODE_PIPELINE_INITIALIZER;
+    int ready = 0;
+    for (int y = 0; !bad && y < im->h; y += lines) {
+        exr_chunk_info_t chunk;
+        bad = exr_write_scanline_chunk_info(f, part, y, &chunk) != EXR_ERR_SUCCESS;
+        bad = bad || (ready ? exr_encoding_update(f, part, &chunk, &e) : exr_encoding_initialize(f, part, &chunk, &e)) != EXR_ERR_SUCCESS;
+        for (int k = 0; !bad && k < e.channel_count; k++) {
+            e.channels[k].encode_from_ptr = (const uint8_t *)(im->px + (size_t)y * (size_t)im->w * (size_t)c + (size_t)ch[k].at);
+            e.channels[k].user_pixel_stride = 4 * c;
+            e.channels[k].user_line_stride = 4 * c * im->w;
+            e.channels[k].user_bytes_per_element = 4;
+            e.channels[k].user_data_type = EXR_PIXEL_FLOAT;
+        }
+        if (!bad && !ready) bad = exr_encoding_choose_default_routines(f, part, &e) != EXR_ERR_SUCCESS;
+        ready = 1;
+        bad = bad || exr_encoding_run(f, part, &e) != EXR_ERR_SUCCESS;
+    }
+    if (ready) exr_encoding_destroy(f, &e);
+    bad = exr_finish(&f) != EXR_ERR_SUCCESS || bad;
+    int fd = bad ? -1 : open(tmp, O_RDWR);
+    bad = bad || fd < 0 || fsync(fd);
+    if (fd >= 0) close(fd);
+    if (!bad && !rename(tmp, path)) return ORL_OK;
+    unlink(tmp);
+    return orl_fail(ORL_E_IO, "%s: cannot be written", path);
+}
+#else
+orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
+{
+    (void)names; (void)out;
+    return orl_fail(ORL_E_UNSUPPORTED, "%s: this build has no OpenEXR", path);
+}
+orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
+{
+    (void)im; (void)names;
+    return orl_fail(ORL_E_UNSUPPORTED, "%s: this build has no OpenEXR", path);
+}
+#endif

@@ -1,0 +1,16 @@
+#!/bin/sh
+# Re-lighting kernels and the march: one hash here and on emulated aarch64, with and without dot product. $1: build folder.
+set -e
+B=${1:-build/host}
+for tool in aarch64-linux-gnu-gcc qemu-aarch64-static; do
+    command -v $tool >/dev/null || { echo "kernels_aarch64: skipped, no $tool"; exit 77; }
+done
+make -s BOARD=rpi4 CC=aarch64-linux-gnu-gcc SAN= build/rpi4/tools/kernel_hash
+all=$("$B/tools/kernel_hash")
+for cpu in cortex-a72 max; do
+    all="$all
+$(QEMU_LD_PREFIX=/usr/aarch64-linux-gnu QEMU_CPU=$cpu qemu-aarch64-static build/rpi4/tools/kernel_hash | sed "s/\$/ ($cpu)/")"
+done
+echo "$all"
+echo "$all" | grep -q neon && echo "$all" | grep -q dotprod || { echo "kernels_aarch64: a variant did not run"; exit 1; }
+[ "$(echo "$all" | cut -d' ' -f1 | sort -u | wc -l)" = 1 ] || { echo "kernels_aarch64: hashes differ"; exit 1; }

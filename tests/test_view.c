@@ -1,0 +1,247 @@
+/* The fixed-point view against the analytic scene: depth, normal, coverage, thread-count identity, degenerate poses, and fixed shading against the float model on the view's own samples. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include "oriel/cpu.h"
+#include "oriel/view.h"
+#include "tests/synth_scene.h"
+
+static orl_scene scene;
+static int setup(void **state) { (void)state; synth_scene_make(&scene, 8, 8, 6); return 0; }
+static int teardown(void **state) { (void)state; synth_scene_free(&scene); return 0; }
+
+typedef struct { orl_view v; void *block; size_t bytes; } built;
+
+static void build(built *b, const orl_camera *cam, const orl_pose *pose, int ss, int threads)
+{
+    b->bytes = orl_view_need(cam->w, cam->h);
+    b->block = aligned_alloc(64, b->bytes);
+    assert_non_null(b->block);
+    memset(b->block, 0x5a, b->bytes);
+    orl_err e = orl_view_build(&scene, cam, pose, ss, threads, b->block, b->bytes, &b->v);
+    if (e) fail_msg("%s", orl_error_text());
+}
+
+/* Rays that enter the box below the ground see the solid's cut side, about which the analytic scene says nothing. */
+static int enters_below(const double o[3], const double d[3])
+{
+    double t = 0;
+    for (int a = 0; a < 3; a++) {
+        double e = fmin(-o[a] / d[a], (8.0 * scene.nb[a] - o[a]) / d[a]);
+        t = fmax(t, e);
+    }
+    return o[2] + t * d[2] < SYNTH_GROUND + 0.5;
+}
+
+/* Analytic ray: distance to sphere or ground inside the box, -1 if none. */
+static double analytic(const double o[3], const double d[3], double n[3])
+{
+    double c[3], r, best = 1e9;
+    synth_sphere(&scene, c, &r);
+    double b = 0, q = -r * r;
+    for (int a = 0; a < 3; a++) { b += (o[a] - c[a]) * d[a]; q += (o[a] - c[a]) * (o[a] - c[a]); }
+    if (b * b - q > 0 && -b - sqrt(b * b - q) > 0) {
+        best = -b - sqrt(b * b - q);
+        for (int a = 0; a < 3; a++) n[a] = (o[a] + best * d[a] - c[a]) / r;
+    }
+    double g = (SYNTH_GROUND - o[2]) / d[2], x = o[0] + g * d[0], y = o[1] + g * d[1];
+    if (d[2] < 0 && g > 0 && g < best && x > 0 && y > 0 && x < 8.0 * scene.nb[0] && y < 8.0 * scene.nb[1]) {
+        best = g;
+        n[0] = n[1] = 0; n[2] = 1;
+    }
+    return best < 1e9 ? best : -1;
+}
+
+static const double eye[3] = { -40, -60, 70 }, target[3] = { 32, 32, 18 };
+
+static void test_depth_and_normal(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(160, 120, 45);
+    orl_pose pose = synth_look(&scene, eye, target);
+    built b;
+    build(&b, &cam, &pose, 1, 1);
+    int hits = 0, wrong = 0;
+    double depth_sum = 0, depth_max = 0, angle_sum = 0, albedo_sum = 0;
+    for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+        orl_sample s;
+        double n[3], d[3];
+        orl_view_sample(&b.v, x, y, &s);
+        for (int a = 0; a < 3; a++) d[a] = s.dir[a];
+        double t = analytic(eye, d, n);
+        if (enters_below(eye, d)) continue;
+        size_t at = (size_t)y * (size_t)b.v.stride + (size_t)x;
+        if ((t > 0) != (s.cov == 1)) { wrong++; continue; }
+        if (t <= 0) { assert_int_equal(b.v.depth[at], 65535); continue; }
+        double e = fabs(b.v.depth[at] / 16.0 - t), dot = 0;
+        if (e > 2) { wrong++; continue; }           /* other side of a silhouette or of the crease */
+        for (int a = 0; a < 3; a++) dot += n[a] * s.normal[a];
+        hits++;
+        depth_sum += e;
+        if (e > depth_max) depth_max = e;
+        angle_sum += acos(fmin(dot, 1)) * 57.29578;
+        double p[3] = { eye[0] + t * d[0], eye[1] + t * d[1], eye[2] + t * d[2] }, v = (120 + 100 * synth_wave(p[0] / 17)) / 255;
+        albedo_sum += fabs(s.albedo[0] - v * v);
+    }
+    print_message("%d hits, %d wrong, depth error mean %.3f max %.3f cells, normal %.2f degrees, base colour %.4f\n", hits, wrong, depth_sum / hits, depth_max, angle_sum / hits, albedo_sum / hits);
+    assert_true(hits > 4000);
+    assert_true(wrong < hits / 100);
+    assert_true(depth_sum / hits < 0.08);
+    assert_true(angle_sum / hits < 2);
+    assert_true(albedo_sum / hits < 0.006);
+    free(b.block);
+}
+
+static void test_coverage(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(96, 64, 60);
+    orl_pose pose = synth_look(&scene, eye, target);
+    built b;
+    build(&b, &cam, &pose, 2, 1);
+    int wrong = 0, partial = 0;
+    for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+        int n = 0, skip = 0;
+        for (int k = 0; k < 4; k++) {
+            double c[3], d[3] = { 0 }, normal[3];
+            orl_camera_unproject(&cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), c);
+            double len = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
+            for (int a = 0; a < 3; a++) for (int i = 0; i < 3; i++) d[a] += b.v.grid_from_cam[3 * a + i] * c[i] / len;
+            n += analytic(eye, d, normal) > 0;
+            skip |= enters_below(eye, d);
+        }
+        if (skip) continue;
+        int cov = b.v.cov[(size_t)y * (size_t)b.v.stride + (size_t)x];
+        assert_true(cov == 0 || cov == 64 || cov == 128 || cov == 191 || cov == 255);
+        wrong += cov != (255 * n + 2) / 4;
+        partial += n > 0 && n < 4;
+        if (!cov) assert_int_equal(b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x], 65535);
+    }
+    print_message("%d partly covered pixels, %d differ from the analytic count\n", partial, wrong);
+    assert_true(partial > 20 && wrong < partial / 3);
+    free(b.block);
+}
+
+static void test_threads(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(75, 61, 70);      /* odd sizes: padding */
+    cam.model = ORL_CAM_SIMPLE_RADIAL;
+    cam.k1 = -0.05;
+    orl_pose pose = synth_look(&scene, eye, target);
+    built a, b;
+    build(&a, &cam, &pose, 2, 1);
+    build(&b, &cam, &pose, 2, 3);
+    size_t planes = (size_t)((uint8_t *)a.v.sky - (uint8_t *)a.block);
+    assert_memory_equal(a.block, b.block, planes);
+    free(a.block);
+    free(b.block);
+}
+
+/* Fixed shading against orl_light_shade on the same samples, over lights from dim to dazzling. */
+static void test_shading(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(131, 90, 75);
+    orl_pose pose = synth_look(&scene, eye, target);
+    built b;
+    build(&b, &cam, &pose, 2, 1);
+    void *lb = aligned_alloc(64, orl_view_light_need());
+    uint8_t *rgb = malloc((size_t)cam.w * 3 * (size_t)cam.h + 64);
+    assert_non_null(lb);
+    assert_non_null(rgb);
+    for (int i = 0; i < 8; i++) {
+        float code[ORL_CODE];
+        memcpy(code, scene.light.prior_mean, sizeof code);
+        code[ORL_C_SUN_AZ] = -3 + 1.3f * (float)i;
+        code[ORL_C_SUN_EL] = 0.1f + 0.17f * (float)i;
+        for (int c = 0; c < 3; c++) code[ORL_C_SUN_RGB + c] = -1.5f + 0.7f * (float)i - 0.1f * (float)c;
+        for (int k = 0; k < ORL_SHADOW_DIM; k++) code[ORL_C_SHADOW + k] = 0.6f * (float)((i * k) % 5) - 1.2f;
+        for (int k = 0; k < 9; k++) code[ORL_C_TONE + k] = 0.03f * (float)((k * 7 + i) % 5 - 2);
+        for (int k = 0; k < 3; k++) code[ORL_C_TONE + 9 + k] = 0.02f * (float)(k - 1);
+        orl_light light;
+        orl_light_decode(&scene.light, code, &light);
+        orl_view_light *l = orl_view_light_make(&b.v, &light, lb, orl_view_light_need());
+        assert_non_null(l);
+        memset(rgb, 0xa5, (size_t)cam.w * 3 * (size_t)cam.h + 64);
+        orl_view_relight(&b.v, l, orl_cpu_detect(), 0, cam.h);
+        orl_view_shade(&b.v, l, orl_cpu_detect(), 0, 40, rgb, (size_t)cam.w * 3);
+        orl_view_shade(&b.v, l, ORL_CPU_REF, 40, cam.h, rgb + (size_t)cam.w * 3 * 40, (size_t)cam.w * 3);
+        for (int k = 0; k < 64; k++) assert_int_equal(rgb[(size_t)cam.w * 3 * (size_t)cam.h + (size_t)k], 0xa5);
+        double sum = 0, worst = 0, bias = 0;
+        for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+            orl_sample s;
+            float want[3];
+            orl_view_sample(&b.v, x, y, &s);
+            orl_light_shade(&light, &s, want);
+            for (int c = 0; c < 3; c++) {
+                double e = rgb[((size_t)y * (size_t)cam.w + (size_t)x) * 3 + (size_t)c] - 255 * fmin(fmax(want[c], 0), 1);
+                sum += fabs(e);
+                bias += e;
+                worst = fmax(worst, fabs(e));
+            }
+        }
+        double n = 3.0 * cam.w * cam.h;
+        print_message("light %d: mean error %.3f, bias %.3f, worst %.2f of 255\n", i, sum / n, bias / n, worst);
+        assert_true(sum / n < 0.6 && fabs(bias / n) < 0.2 && worst < 4);
+    }
+    free(lb);
+    free(rgb);
+    free(b.block);
+}
+
+static void test_degenerate(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(32, 24, 60);
+    orl_pose pose = synth_look(&scene, eye, target), bad;
+    size_t need = orl_view_need(32, 24);
+    void *block = aligned_alloc(64, need);
+    assert_non_null(block);
+    orl_view v, was;
+    memset(&v, 0x33, sizeof v);
+    was = v;
+    for (int i = 0; i < 12; i++) {
+        bad = pose;
+        *(i < 9 ? &bad.R[i] : &bad.t[i - 9]) = i & 1 ? NAN : INFINITY;
+        assert_int_equal(orl_view_build(&scene, &cam, &bad, 1, 1, block, need, &v), ORL_E_DEGENERATE);
+    }
+    memset(bad.R, 0, sizeof bad.R);
+    memset(bad.t, 0, sizeof bad.t);
+    assert_int_equal(orl_view_build(&scene, &cam, &bad, 1, 1, block, need, &v), ORL_E_DEGENERATE);
+    assert_int_equal(orl_view_build(&scene, &cam, &pose, 1, 1, block, need - 64, &v), ORL_E_MEMORY);
+    assert_int_equal(orl_view_build(&scene, &cam, &pose, 3, 1, block, need, &v), ORL_E_RANGE);
+    orl_scene sky = { .light = scene.light };
+    assert_int_equal(orl_view_build(&sky, &cam, &pose, 1, 1, block, need, &v), ORL_E_DEGENERATE);
+    assert_memory_equal(&v, &was, sizeof v);
+    free(block);
+
+    const double looks[][6] = {
+        { 32, 32, 18, 60, 32, 18 },             /* inside the sphere */
+        { 32, 32, -40, 32, 40, 20 },            /* below the ground */
+        { -100, -100, 40, -200, -200, 60 },     /* outside, looking away */
+        { 32, 32, 47.9999, 32, 33, 20 },        /* on the box's face */
+        { 0, 0, 0, 64, 64, 48 }, { 8, 8, 30, 8, 60, 30 }, { 16, -50, 16, 16, 60, 16 },     /* corner; along brick faces */
+        { 1e6, 1e6, 1e6, 32, 32, 18 },          /* very far */
+    };
+    for (size_t i = 0; i < sizeof looks / sizeof *looks; i++) {
+        built b;
+        bad = synth_look(&scene, looks[i], looks[i] + 3);
+        build(&b, &cam, &bad, 2, 1);
+        int covered = 0;
+        for (int k = 0; k < b.v.stride * b.v.h; k++) covered += b.v.cov[k] > 0;
+        if (i == 2) assert_int_equal(covered, 0);
+        if (i == 1) assert_true(covered > 300);     /* the ground's back is a surface, not a hole */
+        free(b.block);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
+    };
+    return cmocka_run_group_tests(tests, setup, teardown);
+}

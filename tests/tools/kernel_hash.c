@@ -1,0 +1,79 @@
+/* kernel_hash: one FNV-1a hash over the outputs of the re-lighting kernels and of a small marched view, one line per variant this machine has. All lines, on all machines, must carry the same hash. */
+#include <stdio.h>
+#include <stdlib.h>
+#include "oriel/view.h"
+#include "tests/kernel_data.h"
+#include "tests/synth_scene.h"
+
+static const char *const variants[] = {
+#define NAME(n) n,
+    ORL_KERNEL_VARIANTS(NAME)
+#undef NAME
+};
+
+static uint64_t fnv(uint64_t h, const void *p, size_t n)
+{
+    for (size_t i = 0; i < n; i++) h = (h ^ ((const uint8_t *)p)[i]) * 1099511628211u;
+    return h;
+}
+
+static kernel_data d;
+static uint8_t vis[KD_N], rgb[KD_N * 3];
+static int16_t s[KD_N];
+
+static uint64_t hash_kernels(unsigned cpu)
+{
+    uint64_t h = 14695981039346656037u;
+    orl_kernels k;
+    orl_kernels_init(&k, cpu);
+    for (int i = 0; i < 12; i++) {
+        kd_fill(&d, 1000 + (uint64_t)i, i < KD_MODES ? (kd_mode)i : KD_RANDOM);
+        orl_shade_in in = kd_in_struct(&d, 0);
+        k.vis(d.horizon, &d.vis_tab, KD_N, vis);
+        k.shadow(d.phi, &d.tab, KD_N, s);
+        k.shade(&in, &d.tab, KD_N, rgb);
+        h = fnv(fnv(fnv(h, vis, sizeof vis), s, sizeof s), rgb, sizeof rgb);
+    }
+    return h;
+}
+
+static int hash_view(unsigned cpu, uint64_t *h)
+{
+    orl_scene sc;
+    orl_view v;
+    orl_light light;
+    uint8_t out[96 * 64 * 3];
+    synth_scene_make(&sc, 8, 8, 6);
+    const double eye[3] = { -30, -50, 60 }, target[3] = { 32, 32, 18 };
+    orl_camera cam = synth_camera(96, 64, 50);
+    cam.model = ORL_CAM_OPENCV;
+    cam.k1 = -0.1; cam.k2 = 0.02; cam.p1 = 0.001;
+    orl_pose pose = synth_look(&sc, eye, target);
+    size_t need = orl_view_need(cam.w, cam.h);
+    void *block = aligned_alloc(64, need), *lb = aligned_alloc(64, orl_view_light_need());
+    int bad = !block || !lb || orl_view_build(&sc, &cam, &pose, 2, 1, block, need, &v);
+    if (!bad) {
+        orl_light_decode(&sc.light, sc.light.prior_mean, &light);
+        orl_view_light *l = orl_view_light_make(&v, &light, lb, orl_view_light_need());
+        orl_view_relight(&v, l, cpu, 0, v.h);
+        orl_view_shade(&v, l, cpu, 0, v.h, out, (size_t)v.w * 3);
+        size_t planes = (size_t)((uint8_t *)v.sky - (uint8_t *)block);
+        *h = fnv(fnv(*h, block, planes), out, sizeof out);
+    }
+    free(block);
+    free(lb);
+    synth_scene_free(&sc);
+    return bad;
+}
+
+int main(void)
+{
+    for (size_t i = 0; i < sizeof variants / sizeof *variants; i++) {
+        unsigned cpu;
+        if (orl_cpu_from_name(variants[i], &cpu)) continue;
+        uint64_t h = hash_kernels(cpu);
+        if (hash_view(cpu, &h)) { fprintf(stderr, "kernel_hash: %s\n", orl_error_text()); return 1; }
+        printf("%016llx %s\n", (unsigned long long)h, variants[i]);
+    }
+    return 0;
+}
