@@ -27,7 +27,7 @@ orl_err codec_png_write(const char *path, const orl_image *in)
     static const png_uint_32 FORMAT[5] = { 0, PNG_FORMAT_GRAY, 0, PNG_FORMAT_RGB, PNG_FORMAT_RGBA };
     png_image im = { .version = PNG_IMAGE_VERSION, .width = (png_uint_32)in->w, .height = (png_uint_32)in->h };
     png_alloc_size_t n = 0;
-    if (in->c > 4 || !FORMAT[in->c]) return orl_fail(ORL_E_UNSUPPORTED, "%s: PNG of %d channels", path, in->c);
+    if (in->c != 1 && in->c != 3 && in->c != 4) return orl_fail(ORL_E_UNSUPPORTED, "%s: PNG of %d channels", path, in->c);
     im.format = FORMAT[in->c];
     if (!png_image_write_get_memory_size(im, n, 0, in->px, 0, NULL)) return orl_fail(ORL_E_FORMAT, "%s: %s", path, im.message);
     void *bytes = malloc(n);

@@ -176,16 +176,19 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
     const head_bytes *h = (const head_bytes *)l->known[HEAD].at;
     if (!all_zero(h->reserved, sizeof h->reserved)) return orl_fail(ORL_E_FORMAT, "%s: section HEAD: reserved bytes are not 0", name);
     const double *m = s->world_to_grid;
-    for (int i = 0; i < 12; i++) if (!(m[i] > -1e9 && m[i] < 1e9)) return orl_fail(ORL_E_RANGE, "%s: section HEAD: world_to_grid[%d] is not finite or absurd", name, i);
+    for (int i = 0; i < 12; i++)
+        if (!(m[i] > -1e9 && m[i] < 1e9)) return orl_fail(ORL_E_RANGE, "%s: section HEAD: world_to_grid[%d] is not finite or absurd", name, i);
     double g[6], det = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
-    for (int i = 0, k = 0; i < 3; i++) for (int j = i; j < 3; j++) g[k++] = m[4 * i] * m[4 * j] + m[4 * i + 1] * m[4 * j + 1] + m[4 * i + 2] * m[4 * j + 2];
+    for (int i = 0, k = 0; i < 3; i++)
+        for (int j = i; j < 3; j++) g[k++] = m[4 * i] * m[4 * j] + m[4 * i + 1] * m[4 * j + 1] + m[4 * i + 2] * m[4 * j + 2];
     double tol = 4e-6 * g[0];
 #define OFF(x) (!((x) <= tol && (x) >= -tol))
     if (!(g[0] > 1e-18) || !(det > 0) || OFF(g[1]) || OFF(g[2]) || OFF(g[4]) || OFF(g[3] - g[0]) || OFF(g[5] - g[0]))
         return orl_fail(ORL_E_RANGE, "%s: section HEAD: world_to_grid is not a similarity", name);
 #undef OFF
     double unit = (double)s->cell_world * s->cell_world * g[0];
-    if (!(s->cell_world > 0) || !(unit > 0.998 && unit < 1.002)) return orl_fail(ORL_E_RANGE, "%s: section HEAD: cell_world %g does not fit world_to_grid", name, (double)s->cell_world);
+    if (!(s->cell_world > 0) || !(unit > 0.998 && unit < 1.002))
+        return orl_fail(ORL_E_RANGE, "%s: section HEAD: cell_world %g does not fit world_to_grid", name, (double)s->cell_world);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) {
         uint32_t bits;
         memcpy(&bits, &s->shadow_scale[k], 4);
@@ -236,7 +239,8 @@ static orl_err validate(const layout *l, orl_scene *s, const char *name)
 {
     orl_err e = s->bmap ? validate_head(l, s, name) : ORL_OK;
     if (!e) e = validate_light(l, &s->light, name);
-    for (uint32_t i = 0; !e && i < s->ncodes * ORL_CODE; i++) if (!within(s->codes[i], 1e6f)) e = orl_fail(ORL_E_RANGE, "%s: section CODE: code %u entry %u", name, i / ORL_CODE, i % ORL_CODE);
+    for (uint32_t i = 0; !e && i < s->ncodes * ORL_CODE; i++)
+        if (!within(s->codes[i], 1e6f)) e = orl_fail(ORL_E_RANGE, "%s: section CODE: code %u entry %u", name, i / ORL_CODE, i % ORL_CODE);
     size_t end = strnlen(s->title, sizeof s->title);
     int bad = end == sizeof s->title || !all_zero((const uint8_t *)s->title + end, sizeof s->title - end);
     for (size_t i = 0; i < end; i++) bad |= (uint8_t)s->title[i] < 32 || s->title[i] == 127;

@@ -120,41 +120,46 @@ static void gradient(const orl_scene *s, const int32_t p[3], int32_t own, int32_
     }
 }
 
+/* Eight corner weights that sum to 2^16 exactly: the last takes what rounding left. */
+static inline void weights(const int32_t f[3], uint32_t w[8])
+{
+    uint32_t rest = 1 << 16;
+    for (int k = 0; k < 8; k++) {
+        uint32_t v = (uint32_t)(k & 1 ? f[0] : 256 - f[0]) * (uint32_t)(k & 2 ? f[1] : 256 - f[1]) * (uint32_t)(k & 4 ? f[2] : 256 - f[2]) >> 8;
+        w[k] = k == 7 ? rest : v;
+        rest -= w[k];
+    }
+}
+
+/* Base colour is interpolated in linear light, as the trainer does. */
 static void attributes(const orl_scene *s, const int32_t p[3], int32_t brick, orl_hit *h)
 {
     int32_t q[3], f[3];
+    uint32_t w[8], sum[3] = { 0 };
     local(p, p, q);
-    int at = cell_of(q, f);
-    const uint8_t *al = s->albedo + ((size_t)brick * ORL_BRICK_VERTS + (size_t)at) * 3;
-    uint32_t sum[3] = { 0 };
+    const uint8_t *al = s->albedo + ((size_t)brick * ORL_BRICK_VERTS + (size_t)cell_of(q, f)) * 3;
+    weights(f, w);
     for (int k = 0; k < 8; k++) {
-        uint32_t w = (uint32_t)(k & 1 ? f[0] : 256 - f[0]) * (uint32_t)(k & 2 ? f[1] : 256 - f[1]) * (uint32_t)(k & 4 ? f[2] : 256 - f[2]);     /* sums to 2^24 */
         const uint8_t *v = al + 3 * ((k & 1) + 9 * (k >> 1 & 1) + 81 * (k >> 2));
-        for (int c = 0; c < 3; c++) sum[c] += w * v[c];
+        for (int c = 0; c < 3; c++) sum[c] += w[k] * v[c] * v[c];                       /* at most 2^16 x 255^2 < 2^32 */
     }
-    for (int c = 0; c < 3; c++) {
-        uint64_t v = sum[c] >> 16;                                                      /* Q8, at most 65280 */
-        h->albedo[c] = (uint32_t)((v * v * 66051) >> 32);                               /* 65535 (v / 65280)^2 */
-    }
+    for (int c = 0; c < 3; c++) h->albedo[c] = (uint32_t)(((uint64_t)sum[c] * 66051) >> 32);    /* 65535 / 65025 */
     memset(h->lite, 0, sizeof h->lite);
     memset(h->phi, 0, sizeof h->phi);
-    if (!s->lite && !s->shadow) { h->lite[0] = 255 << 16; return; }
+    if (!s->lite) h->lite[0] = 255 << 16;
+    if (!s->lite && !s->shadow) return;
     int first = 0;
     for (int a = 2; a >= 0; a--) {                                                      /* light vertices stand 4 cells apart */
         int i = q[a] >> 14 ? 1 : 0;
         f[a] = (q[a] - (i << 14)) >> 6;
         first = first * 3 + i;
     }
-    uint32_t rest = 1 << 16;
+    weights(f, w);
     for (int k = 0; k < 8; k++) {
-        uint32_t w = (uint32_t)(k & 1 ? f[0] : 256 - f[0]) * (uint32_t)(k & 2 ? f[1] : 256 - f[1]) * (uint32_t)(k & 4 ? f[2] : 256 - f[2]) >> 8;
-        w = k == 7 ? rest : w;                                                          /* the last takes what rounding left: the sum is 2^16 */
-        rest -= w;
         size_t v = (size_t)brick * ORL_LITE_VERTS + (size_t)(first + (k & 1) + 3 * (k >> 1 & 1) + 9 * (k >> 2));
-        if (s->lite) for (int c = 0; c < ORL_LITE_BYTES; c++) h->lite[c] += w * s->lite[v * ORL_LITE_BYTES + (size_t)c];
-        if (s->shadow) for (int c = 0; c < ORL_SHADOW_DIM; c++) h->phi[c] += (int32_t)w * s->shadow[v * ORL_SHADOW_DIM + (size_t)c];
+        if (s->lite) for (int c = 0; c < ORL_LITE_BYTES; c++) h->lite[c] += w[k] * s->lite[v * ORL_LITE_BYTES + (size_t)c];
+        if (s->shadow) for (int c = 0; c < ORL_SHADOW_DIM; c++) h->phi[c] += (int32_t)w[k] * s->shadow[v * ORL_SHADOW_DIM + (size_t)c];
     }
-    if (!s->lite) h->lite[0] = 255 << 16;
 }
 
 /* Crossing between free lo and solid hi by regula falsi, to 1/256 cell of distance. */

@@ -1,17 +1,18 @@
 /* Sky segmentation of one photo. In: sRGB photo, camera, pose, up, pixels of SfM points. Out: 255 surely sky .. 0 surely not.
  *
- * Evidence is a log-odds u per pixel, from what a sky is: above the horizon, without SfM points, with none of them above it, smooth, and joined to the top of the picture without an edge between.
- * It is spread along the picture by minimising  sum lambda_i (x_i - sigmoid(u_i))^2 + sum w_ij (x_i - x_j)^2,  w_ij falling with the step in colour and lambda_i with doubt, so that the answer
- * flows over flat areas and stops at edges. From x, colour histograms of sky and scene are learned and join the evidence; a few rounds at 256 px, one at 512 px. Then every region must prove itself:
- * what has points inside, has no edge around it, or hides under the building without the sky's colour, falls back to unknown or scene. */
+ * Evidence is a log-odds per pixel, from what a sky is: above the horizon, without SfM points and with none of them above it, smooth, joined to the top of the picture without an edge between,
+ * brighter or bluer than the scene. It is spread along the picture by minimising  sum lambda_i (x_i - sigmoid(u_i))^2 + sum w_ij (x_i - x_j)^2,  w_ij falling with the step in colour and
+ * lambda_i with doubt, so that the answer flows over flat areas and stops at edges. From x, colour histograms of sky and scene are learned and join the evidence: a few rounds at 256 px, one
+ * at 512 px. In the end parts of the sky that do not share the colours of its largest part are called unknown, and so is what is far from every sign of the scene. Lengths are in pixels at 256. */
 #include "oriel/skymask.h"
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { COARSE = 256, FINE = 512, ROUNDS = 4, SWEEPS = 40, BINS = 24, CELLS = BINS * BINS * BINS };
-#define BLOCKED 9.0f             /* barrier of what cannot be reached */
-#define HARD 1.2f               /* px at COARSE: this near to an SfM point nothing is sky */
+enum { COARSE = 256, FINE = 512, ROUNDS = 4, SWEEPS = 24, BINS = 24, CELLS = BINS * BINS * BINS };
+#define BLOCKED 9.0f            /* barrier of what cannot be reached */
+#define NEAR 1.2f               /* no way to the top leads closer past an SfM point */
 
 typedef struct {
     int w, h;
@@ -19,7 +20,7 @@ typedef struct {
     float *ch[3];               /* luma, R - B, G - (R + B) / 2; 0..1 */
     float *wx, *wy;             /* edge weights to the right and down */
     float *texture;             /* mean step of colour around */
-    float *dist;                /* px at COARSE to the nearest SfM point */
+    float *dist;                /* to the nearest SfM point */
     float *cover;               /* 0 open .. 1 SfM points above */
     float *elevation;           /* radians over the horizon */
     float *barrier;             /* highest step on the easiest way to the top of the picture */
@@ -29,6 +30,8 @@ typedef struct {
     float *block;
 } level;
 
+static float minf(float a, float b) { return a < b ? a : b; }
+static float maxf(float a, float b) { return a > b ? a : b; }
 static float clampf(float v, float lo, float hi) { return v < lo ? lo : v > hi ? hi : v; }
 static float sigmoid(float u) { return 1 / (1 + expf(-u)); }
 
@@ -102,56 +105,60 @@ static void find_texture(level *l)
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
             float m = l->base[y * w + x];
-            for (int k = -r; k <= r; k++) if (x + k >= 0 && x + k < w) m = fminf(m, l->base[y * w + x + k]);
+            for (int k = -r; k <= r; k++) if (x + k >= 0 && x + k < w) m = minf(m, l->base[y * w + x + k]);
             l->lambda[y * w + x] = m;
         }
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
             float m = l->lambda[y * w + x];
-            for (int k = -r; k <= r; k++) if (y + k >= 0 && y + k < h) m = fminf(m, l->lambda[(y + k) * w + x]);
+            for (int k = -r; k <= r; k++) if (y + k >= 0 && y + k < h) m = minf(m, l->lambda[(y + k) * w + x]);
             l->texture[y * w + x] = m;
         }
 }
 
-/* Chamfer distance (3-4) to the points, in px at COARSE. */
+/* Chamfer distance (3-4) to the points. */
 static void find_distance(level *l, const float (*pt)[2], size_t n, float sx, float sy)
 {
     int w = l->w, h = l->h;
-    for (int i = 0; i < w * h; i++) l->dist[i] = 1e6f;
+    const float one = 1 / l->unit, diagonal = one * 4 / 3;
+    float *d = l->dist;
+    for (int i = 0; i < w * h; i++) d[i] = 1e6f;
     for (size_t k = 0; k < n; k++) {
         float u = pt[k][0] * sx, v = pt[k][1] * sy;
-        if (u >= 0 && u < (float)w && v >= 0 && v < (float)h) l->dist[(int)v * w + (int)u] = 0;
+        if (u < (float)w && v < (float)h) d[(int)v * w + (int)u] = 0;
     }
-    const float one = 1 / l->unit, diagonal = one * 4 / 3;
-    for (int pass = 0; pass < 2; pass++)
-        for (int k = 0; k < w * h; k++) {
-            int i = pass ? w * h - 1 - k : k, x = i % w, y = i / w, s = pass ? 1 : -1;
-            int inx = x + s >= 0 && x + s < w, iny = y + s >= 0 && y + s < h, back = x - s >= 0 && x - s < w;
-            float d = l->dist[i];
-            if (inx) d = fminf(d, l->dist[i + s] + one);
-            if (iny) d = fminf(d, l->dist[i + s * w] + one);
-            if (inx && iny) d = fminf(d, l->dist[i + s * w + s] + diagonal);
-            if (iny && back) d = fminf(d, l->dist[i + s * w - s] + diagonal);
-            l->dist[i] = d;
+    for (int y = 0; y < h; y++)
+        for (int x = 0, i = y * w; x < w; x++, i++) {
+            if (x) d[i] = minf(d[i], d[i - 1] + one);
+            if (y) d[i] = minf(d[i], d[i - w] + one);
+            if (y && x) d[i] = minf(d[i], d[i - w - 1] + diagonal);
+            if (y && x + 1 < w) d[i] = minf(d[i], d[i - w + 1] + diagonal);
+        }
+    for (int y = h - 1; y >= 0; y--)
+        for (int x = w - 1, i = y * w + x; x >= 0; x--, i--) {
+            if (x + 1 < w) d[i] = minf(d[i], d[i + 1] + one);
+            if (y + 1 < h) d[i] = minf(d[i], d[i + w] + one);
+            if (y + 1 < h && x + 1 < w) d[i] = minf(d[i], d[i + w + 1] + diagonal);
+            if (y + 1 < h && x) d[i] = minf(d[i], d[i + w - 1] + diagonal);
         }
 }
 
-/* Elevation of each pixel's ray, and how many SfM points stand above it (towards the zenith, in a strip): n / (n + 3). */
-static void find_up(level *l, const orl_camera *cam, const double up[3], const float (*pt)[2], size_t n, float sx, float sy)
+/* Elevation of each pixel's ray (fixed where no horizon is known), and how many SfM points stand above it (towards the zenith, in a strip): n / (n + 3). */
+static void find_up(level *l, const orl_camera *cam, const double up[3], int horizon, const float (*pt)[2], size_t n, float sx, float sy)
 {
     int w = l->w, h = l->h;
     float *count = l->goal, *tmp = l->lambda;
     memset(count, 0, (size_t)w * h * sizeof *count);
     for (size_t k = 0; k < n; k++) {
         float u = pt[k][0] * sx, v = pt[k][1] * sy;
-        if (u >= 0 && u < (float)w && v >= 0 && v < (float)h) count[(int)v * w + (int)u] += 1;
+        if (u < (float)w && v < (float)h) count[(int)v * w + (int)u] += 1;
     }
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
             double d[3];
             orl_camera_unproject(cam, x + 0.5, y + 0.5, d);
             double e = (d[0] * up[0] + d[1] * up[1] + d[2] * up[2]) / sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-            l->elevation[y * w + x] = isfinite(e) ? (float)asin(fmax(-1, fmin(1, e))) : 0;
+            l->elevation[y * w + x] = horizon && isfinite(e) ? (float)asin(fmax(-1, fmin(1, e))) : 0.5f;
             if (!y) continue;
             double ux = up[0] - d[0] * up[2], uy = up[1] - d[1] * up[2];    /* the way to the zenith in the picture */
             if (!(uy < -0.5 * fabs(ux))) continue;                          /* not upright here: nothing is known to be above */
@@ -171,7 +178,7 @@ static void find_up(level *l, const orl_camera *cam, const double up[3], const f
     }
 }
 
-/* Black or white frame that an undistortion left: runs of exactly one extreme colour from the left and right rim would eat a white sky, so only black counts. */
+/* The black frame that an undistortion left: runs of black from the left, right and top rim. */
 static void find_blank(level *l, const uint8_t *px)
 {
     int w = l->w, h = l->h;
@@ -195,18 +202,18 @@ static void find_barrier(level *l)
 {
     int w = l->w, h = l->h, n = w * h;
     float *b = l->barrier;
-    for (int i = 0; i < n; i++) b[i] = i < w && !l->blank[i] && l->dist[i] >= HARD ? 0 : BLOCKED;
-    for (int i = w; i < n; i++) if (l->blank[i - w] && !l->blank[i] && l->dist[i] >= HARD) b[i] = 0;
+    for (int i = 0; i < n; i++) b[i] = i < w && !l->blank[i] && l->dist[i] >= NEAR ? 0 : BLOCKED;
+    for (int i = w; i < n; i++) if (l->blank[i - w] && !l->blank[i] && l->dist[i] >= NEAR) b[i] = 0;
     for (int pass = 0, moved = 1; moved && pass < 16; pass++) {
         moved = 0;
         for (int k = 0; k < n; k++) {
             int i = pass & 1 ? n - 1 - k : k, x = i % w;
-            if (l->blank[i] || l->dist[i] < HARD || l->elevation[i] < 0) continue;
+            if (l->blank[i] || l->dist[i] < NEAR || l->elevation[i] < 0) continue;
             const int to[4] = { x ? i - 1 : -1, x + 1 < w ? i + 1 : -1, i - w, i + w < n ? i + w : -1 };
             for (int q = 0; q < 4; q++) {
                 int j = to[q];
                 if (j < 0 || b[j] >= b[i]) continue;
-                float via = fmaxf(b[j], step_between(l, i, j));
+                float via = maxf(b[j], step_between(l, i, j));
                 if (via < b[i]) { b[i] = via; moved = 1; }
             }
         }
@@ -238,7 +245,7 @@ static float scene_texture(const level *l, float *tmp)
     for (int i = 0; i < n; i++) if (!l->blank[i] && l->dist[i] < 4) tmp[m++] = l->texture[i];
     if (m < n / 50) for (int i = m = 0; i < n; i++) if (l->elevation[i] < 0.15f) tmp[m++] = l->texture[i];
     if (m < n / 50) for (int i = m = 0; i < n; i++) tmp[m++] = l->texture[i];
-    return fmaxf(median_of(tmp, m), 0.006f);
+    return maxf(median_of(tmp, m), 0.006f);
 }
 
 static int blue_step(const level *l, int i, int steps)
@@ -306,7 +313,7 @@ static void colours_range(colours *c, const level *l)
         int a = 0, b = STEPS - 1, cut = n / 200;
         for (int s = 0; a < STEPS - 1 && (s += hist[a]) <= cut; a++) {}
         for (int s = 0; b > a && (s += hist[b]) <= cut; b--) {}
-        float lo = 2.0f * (float)a / (STEPS - 1) - 1, hi = 2.0f * (float)b / (STEPS - 1) - 1, span = fmaxf(hi - lo, 0.12f);
+        float lo = 2.0f * (float)a / (STEPS - 1) - 1, hi = 2.0f * (float)b / (STEPS - 1) - 1, span = maxf(hi - lo, 0.12f);
         c->lo[k] = 0.5f * (lo + hi - span);
         c->scale[k] = (float)(BINS - 1) / span;
     }
@@ -342,7 +349,8 @@ static void find_rim(level *l, float *rim)
     for (int i = 0; i < w * h; i++) rim[i] = rim[i] > 0;
 }
 
-/* Parts of sky (x > 1/2, 4-connected) apart from the largest one must share its colours, or they are unknown: dome panels, panes, bright walls. So is a largest one that is tiny. */
+/* Parts of sky (x > 1/2, 4-connected) apart from the largest one must share its colours, or they are unknown: dome panels, panes, bright walls.
+ * So is all of it where the largest part is tiny, or is the whole picture. */
 static orl_err question_parts(level *l, const colours *c, float *hist)
 {
     int w = l->w, n = w * l->h, parts = 0, best = -1, most = 0;
@@ -362,6 +370,7 @@ static orl_err question_parts(level *l, const colours *c, float *hist)
         if (size > most) { most = size; best = parts; }
         parts++;
     }
+    int nothing = most < n / 2000 || most > n - n / 50;
     memset(hist, 0, CELLS * sizeof *hist);
     for (int i = 0; i < n; i++) if (label[i] == best && best >= 0) hist[colours_cell(c, l, i)] += 1;
     for (int pass = 0; pass < 2; pass++) smooth_cells(hist);
@@ -373,7 +382,10 @@ static orl_err question_parts(level *l, const colours *c, float *hist)
             shared[label[i]] += hist[colours_cell(c, l, i)] > 2.0f * (float)most / CELLS;
         }
     for (int i = 0; i < n; i++)
-        if (label[i] >= 0 && (shared[label[i]] < 0.5f * size[label[i]] || most < n / 2000)) l->x[i] = 0.5f;
+        {
+            int k = label[i];
+            if (k >= 0 && (nothing || (size[k] < 0.15f * (float)most && shared[k] < 0.5f * size[k]))) l->x[i] = 0.5f;
+        }
     free(shared);
     free(label);
     return ORL_OK;
@@ -413,23 +425,36 @@ static void combine(level *l, const colours *c)
         l->lambda[i] = 0.002f + 0.15f * fabsf(2 * l->goal[i] - 1);
         if (l->dist[i] < 0.8f && colour < 1) { l->goal[i] = 0; l->lambda[i] = 0.5f; }       /* a point over plain sky is one that lies badly */
         if (l->elevation[i] < -0.07f) { l->goal[i] = 0; l->lambda[i] = 2; }
-        if (l->blank[i]) l->lambda[i] = 1e-4f;
+        if (l->blank[i]) l->goal[i] = 0.5f;
     }
 }
 
+/* Gauss-Seidel with over-relaxation, rows and columns run both ways in turn. */
 static void solve(level *l, int sweeps)
 {
-    int w = l->w, h = l->h;
+    int w = l->w, h = l->h, n = w * h;
     for (int s = 0; s < sweeps; s++)
-        for (int k = 0; k < w * h; k++) {
-            int i = s & 1 ? w * h - 1 - k : k, x = i % w;
-            float sum = l->lambda[i] * l->goal[i], weight = l->lambda[i];
-            if (x) { sum += l->wx[i - 1] * l->x[i - 1]; weight += l->wx[i - 1]; }
-            if (x + 1 < w) { sum += l->wx[i] * l->x[i + 1]; weight += l->wx[i]; }
-            if (i >= w) { sum += l->wy[i - w] * l->x[i - w]; weight += l->wy[i - w]; }
-            if (i + w < w * h) { sum += l->wy[i] * l->x[i + w]; weight += l->wy[i]; }
-            l->x[i] = clampf(l->x[i] + 1.6f * (sum / weight - l->x[i]), 0, 1);
+        for (int r = 0; r < h; r++) {
+            int row = (s & 1 ? h - 1 - r : r) * w;
+            for (int k = 0; k < w; k++) {
+                int i = row + (s & 1 ? w - 1 - k : k);
+                float sum = l->lambda[i] * l->goal[i], weight = l->lambda[i];
+                if (i > row) { sum += l->wx[i - 1] * l->x[i - 1]; weight += l->wx[i - 1]; }
+                if (i + 1 < row + w) { sum += l->wx[i] * l->x[i + 1]; weight += l->wx[i]; }
+                if (row) { sum += l->wy[i - w] * l->x[i - w]; weight += l->wy[i - w]; }
+                if (row + w < n) { sum += l->wy[i] * l->x[i + w]; weight += l->wy[i]; }
+                l->x[i] = clampf(l->x[i] + 1.6f * (sum / weight - l->x[i]), 0, 1);
+            }
         }
+}
+
+/* Above the horizon, far from all points and below none of them nothing proves a scene: trees of no concern, a branch, a sign, a wall that SfM could not see. */
+static void admit_doubt(level *l)
+{
+    for (int i = 0; i < l->w * l->h; i++) {
+        float far = clampf((l->dist[i] - 6) / 8, 0, 1) * clampf(l->elevation[i] / 0.03f, 0, 1) * clampf(1 - 2 * l->cover[i], 0, 1);
+        l->x[i] = maxf(l->x[i], 0.35f * far);
+    }
 }
 
 /* Points without two others near are left out: a bird, or a match that went wrong. Keeps order. */
@@ -454,30 +479,6 @@ static size_t drop_lonely(const float (*pt)[2], size_t n, int w, int h, float (*
     return kept;
 }
 
-static orl_err level_make(level *l, const orl_image *photo, int side, const orl_camera *cam, const double up[3], const float (*pt)[2], size_t n)
-{
-    int w, h;
-    orl_image small;
-    orl_size_long_side(photo->w, photo->h, side, &w, &h);
-    orl_err e = orl_image_resize_area(photo, w, h, &small);
-    if (e) return e;
-    if (!(e = level_alloc(l, w, h))) {
-        orl_camera c = orl_camera_resized(cam, w, h);
-        float sx = (float)w / (float)photo->w, sy = (float)h / (float)photo->h;
-        split_colour(l, small.px);
-        find_blank(l, small.px);
-        find_texture(l);
-        find_distance(l, pt, n, sx, sy);
-        find_up(l, &c, up, pt, n, sx, sy);
-        find_barrier(l);
-        float scene = scene_texture(l, l->goal);
-        weigh(l, scene);
-        weigh_edges(l, clampf(0.5f * scene, 0.01f, 0.05f));
-    }
-    orl_image_free(&small);
-    return e;
-}
-
 /* Bilinear, pixel centres aligned. */
 static void stretch(const float *in, int w, int h, float *out, int ow, int oh)
 {
@@ -490,6 +491,37 @@ static void stretch(const float *in, int w, int h, float *out, int ow, int oh)
         }
 }
 
+/* coarse: NULL, or the level that already knows what needs no detail. */
+static orl_err level_make(level *l, const orl_image *photo, int side, const level *coarse, const orl_camera *cam, const double up[3], int horizon, const float (*pt)[2], size_t n)
+{
+    int w, h;
+    orl_image small;
+    orl_size_long_side(photo->w, photo->h, side, &w, &h);
+    orl_err e = orl_image_resize_area(photo, w, h, &small);
+    if (e) return e;
+    if (!(e = level_alloc(l, w, h))) {
+        float sx = (float)w / (float)photo->w, sy = (float)h / (float)photo->h;
+        split_colour(l, small.px);
+        find_blank(l, small.px);
+        find_texture(l);
+        find_distance(l, pt, n, sx, sy);
+        if (coarse) {
+            stretch(coarse->elevation, coarse->w, coarse->h, l->elevation, w, h);
+            stretch(coarse->cover, coarse->w, coarse->h, l->cover, w, h);
+            stretch(coarse->barrier, coarse->w, coarse->h, l->barrier, w, h);
+        } else {
+            orl_camera c = orl_camera_resized(cam, w, h);
+            find_up(l, &c, up, horizon, pt, n, sx, sy);
+            find_barrier(l);
+        }
+        float scene = scene_texture(l, l->goal);
+        weigh(l, scene);
+        weigh_edges(l, clampf(0.5f * scene, 0.01f, 0.05f));
+    }
+    orl_image_free(&small);
+    return e;
+}
+
 orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pose *pose, const double up[3],
                     const float (*points)[2], size_t npoints, orl_image *prob)
 {
@@ -500,7 +532,6 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
         if (!(norm > 1e-12) || !isfinite(norm)) return orl_fail(ORL_E_RANGE, "sky mask: up is no direction");
         for (int a = 0; a < 3; a++) zenith[a] /= sqrt(norm);
     }
-    orl_camera here = cam->w == photo->w && cam->h == photo->h ? *cam : orl_camera_resized(cam, photo->w, photo->h);
     level coarse = { 0 }, fine = { 0 };
     orl_image out = { 0 };
     float *full = NULL;
@@ -508,7 +539,7 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     float *cells = malloc(2 * CELLS * sizeof *cells), (*kept)[2] = malloc((npoints + 1) * sizeof *kept);
     orl_err e = c && cells && kept ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky mask: no memory for colours and points");
     if (!e) npoints = drop_lonely(points, npoints, photo->w, photo->h, kept);
-    if (e || (e = level_make(&coarse, photo, COARSE, &here, zenith, (const float (*)[2])kept, npoints)) || (e = level_make(&fine, photo, FINE, &here, zenith, (const float (*)[2])kept, npoints))) goto done;
+    if (e || (e = level_make(&coarse, photo, COARSE, NULL, cam, zenith, up != NULL, (const float (*)[2])kept, npoints)) || (e = level_make(&fine, photo, FINE, &coarse, cam, zenith, up != NULL, (const float (*)[2])kept, npoints))) goto done;
 
     colours_range(c, &coarse);
     for (int round = 0; round < ROUNDS; round++) {
@@ -521,6 +552,7 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     stretch(coarse.x, coarse.w, coarse.h, fine.x, fine.w, fine.h);
     solve(&fine, SWEEPS / 2);
     if ((e = question_parts(&fine, c, cells))) goto done;
+    if (npoints) admit_doubt(&fine);
 
     full = malloc((size_t)photo->w * photo->h * sizeof *full);
     if (!full) { e = orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", photo->w, photo->h); goto done; }
@@ -530,5 +562,64 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     *prob = out;
 done:
     free(full); free(c); free(cells); free(kept); free(coarse.block); free(fine.block);
+    return e;
+}
+
+/* ---- photos of a dataset ---- */
+
+orl_err orl_skymask_up(const orl_dataset *d, double up[3])
+{
+    enum { STEPS = 400 };
+    double m[9] = { 0 }, y[3] = { 0 }, norm = 0;
+    for (uint32_t i = 0; i < d->nphotos; i++) {
+        const double *R = d->photos[i].pose.R;
+        if (d->photos[i].test) continue;
+        for (int a = 0; a < 3; a++) {
+            for (int b = 0; b < 3; b++) m[3 * a + b] += R[a] * R[b];
+            y[a] -= R[3 + a];
+        }
+    }
+    for (int a = 0; a < 3; a++) norm += y[a] * y[a];
+    if (!(norm > 1e-12)) return orl_fail(ORL_E_DEGENERATE, "%s: the cameras determine no up", d->dir);
+    /* Smallest axis of sum x x^T + a little (I - y y^T), by power iteration on the trace minus that, started at the mean y. */
+    double lean = 0.002 * (m[0] + m[4] + m[8]), v[3];
+    for (int a = 0; a < 3; a++) for (int b = 0; b < 3; b++) m[3 * a + b] += lean * ((a == b) - y[a] * y[b] / norm);
+    double trace = m[0] + m[4] + m[8];
+    for (int a = 0; a < 3; a++) v[a] = y[a] / sqrt(norm);
+    for (int k = 0; k < STEPS; k++) {
+        double r[3], n = 0;
+        for (int a = 0; a < 3; a++) {
+            r[a] = trace * v[a] - m[3 * a] * v[0] - m[3 * a + 1] * v[1] - m[3 * a + 2] * v[2];
+            n += r[a] * r[a];
+        }
+        for (int a = 0; a < 3; a++) v[a] = r[a] / sqrt(n);
+    }
+    memcpy(up, v, sizeof v);
+    return ORL_OK;
+}
+
+orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image *photo, const orl_camera *cam, const double up[3], orl_image *prob)
+{
+    const orl_photo *p = &d->photos[index];
+    float (*pt)[2] = malloc(((size_t)p->obs_count + d->npoints + 1) * sizeof *pt);
+    size_t n = 0;
+    if (!pt) return orl_fail(ORL_E_MEMORY, "%s: no memory for its points", p->path);
+    for (uint32_t i = 0; i < p->obs_count; i++) {
+        const orl_colmap_obs *o = &d->obs[p->obs_begin + i];
+        if (o->point < 0) continue;
+        pt[n][0] = o->x * (float)photo->w / (float)p->cam.w;
+        pt[n++][1] = o->y * (float)photo->h / (float)p->cam.h;
+    }
+    for (uint32_t i = 0; i < d->npoints; i++) {
+        double x[3], uv[2];
+        if (d->points[i].track_length < 3 || d->points[i].error_px > 1.5f) continue;
+        orl_pose_apply(&p->pose, d->points[i].xyz, x);
+        /* Far outside the lens's field distortion may fold points back into the picture. */
+        if (!(x[2] > 0) || x[0] * x[0] + x[1] * x[1] > 2 * x[2] * x[2] || !orl_camera_project(cam, x, uv)) continue;
+        pt[n][0] = (float)uv[0];
+        pt[n++][1] = (float)uv[1];
+    }
+    orl_err e = orl_skymask(photo, cam, &p->pose, up, (const float (*)[2])pt, n, prob);
+    free(pt);
     return e;
 }

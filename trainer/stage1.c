@@ -19,7 +19,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 /* Weights of the loss terms; the photometric one is scaled so that it is the plain squared error where no transient is. */
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_EIKONAL 0.01f
-#define LAMBDA_SMOOTH 0.01f
+#define LAMBDA_SMOOTH 0.03f
 #define LAMBDA_POINT 0.02f
 #define LAMBDA_FREE 0.05f
 #define LAMBDA_TRANSIENT 0.012f
@@ -193,13 +193,15 @@ static int ray_march(const stage1 *s, const schedule *c, const float o[3], const
 static float huber_slope(float x, float k) { return x > k ? k : x < -k ? -k : x; }
 static float huber(float x, float k) { float a = fabsf(x); return a > k ? k * (a - 0.5f * k) : 0.5f * x * x; }
 
-/* What the hull carved stays free: f >= half the hull's distance at a random point on the ray before its last sample. */
+/* What the hull carved stays free near the camera: f >= a share of the hull's distance at a random point of the first part of the ray (the rest is left to the photos: thin columns stand in carved space). */
 static void train_free(step_job *job, int thread, rng *r, const float o[3], const float d[3], const ray_sample *last)
 {
     stage1 *s = job->s;
     float t0, t1, x[3];
     if (!box_clip(s->w->frame.dims, o, d, &t0, &t1)) return;
     if (last) t1 = fminf(t1, (last->x[0] - o[0]) * d[0] + (last->x[1] - o[1]) * d[1] + (last->x[2] - o[2]) * d[2]);
+    t1 *= 0.6f;
+    if (t1 <= t0) return;
     float t = t0 + (t1 - t0) * rng_f(r);
     for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
     grid_cell hc;

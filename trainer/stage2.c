@@ -77,7 +77,7 @@ static void sky_generator_start(orl_light_model *m)
         m->sky_gen[own + 0][c][0] = 0.12f;                              /* brighter */
         m->sky_gen[own + 1][c][0] = c == 0 ? 0.1f : c == 2 ? -0.1f : 0;  /* warmer */
         m->sky_gen[own + 2][c][3] = 0.15f;                              /* brighter upwards */
-        m->sky_gen[own + 3][c][1] = 0.15f;                              /* brighter towards the sun's azimuth */
+        m->sky_gen[own + 3][c][8] = 0.05f;                              /* brighter at the zenith and the horizon than between */
     }
 }
 
@@ -297,6 +297,9 @@ void stage2_round(stage2 *s, stage2_losses *out)
         for (int i = 0; i < SHARED; i++) {
             float g = 0;
             for (int t = 0; t < T; t++) g += shared[t][i];
+            /* One photo sees little azimuth: terms that vary with it would be extrapolated wildly, so the generator keeps to elevation. */
+            int y = i % ORL_SKY_Y;
+            if (i < SHARED - 3 && y != 0 && y != 3 && y != 8) { sky[i] = 0; continue; }
             m[i] = 0.9f * m[i] + 0.1f * g;
             v[i] = 0.99f * v[i] + 0.01f * g * g;
             float up = decay * 0.004f * m[i] / (sqrtf(v[i]) + 1e-9f);

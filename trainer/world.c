@@ -132,8 +132,8 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
         hi[a] += margin;
         if (a == 2) continue;
         /* The ground before the building belongs to the picture: reach towards the cameras, but not at any price in resolution. */
-        if (clo[a] < lo[a]) lo[a] = fmax(clo[a], lo[a] - 0.35 * ext);
-        if (chi[a] > hi[a]) hi[a] = fmin(chi[a], hi[a] + 0.35 * ext);
+        if (clo[a] < lo[a]) lo[a] = fmax(clo[a], lo[a] - 0.5 * ext);
+        if (chi[a] > hi[a]) hi[a] = fmin(chi[a], hi[a] + 0.5 * ext);
     }
     double side = 0;
     for (int a = 0; a < 3; a++) side = fmax(side, hi[a] - lo[a]);

@@ -77,13 +77,13 @@ static v3 incoming(world w, const light *l, v3 o, v3 d)
 typedef struct { orl_camera cam; orl_pose pose; v3 eye, right, down, forward; } view;      /* pose in the written world, the rest in metres */
 typedef struct { float exposure, wb[3], contrast, saturation, shoulder, filter[3][3], offset[3]; bool filtered; } tone;
 typedef struct { char name[32]; bool test; view view; light light; tone tone; set people; uint64_t seed; } shot;
-typedef struct { float scale; double R[9], offset[3]; } model_frame;
+typedef struct { double scale, R[9], offset[3]; } model_frame;
 
 static model_frame model_world(void)
 {
-    model_frame m = { 0.37f, { 0 }, { 3, -1.5, 7 } };
+    model_frame m = { 0.37, { 0 }, { 3, -1.5, 7 } };
     orl_pose p;
-    orl_err err = orl_pose_from_quat(&p, (double[4]){ 0.62, 0.48, -0.35, 0.51 }, m.offset);
+    orl_err err = orl_pose_from_quat(&p, (double[4]){ 0.35, 0.62, -0.2, 0.67 }, m.offset);
     if (err) abort();
     memcpy(m.R, p.R, sizeof m.R);
     return m;

@@ -1,0 +1,141 @@
+#!/bin/bash
+# The program end to end on a scene, photo and clip made by tests/tools/synth.c. $1: build folder. Tools that are not here (cross compiler, qemu, ffmpeg) are named and their part left out.
+set -u
+B=${1:-build/host}
+O=$B/oriel
+W=$(mktemp -d)
+trap 'rm -rf "$W"' EXIT
+bad=0
+fail() { echo "oriel.sh: $*"; bad=1; }
+has() { "$O" --version | grep '^images:' | grep -q "$1"; }
+
+# expect CODE PATTERN COMMAND...: exit code, and one line on standard error that matches
+expect() {
+    local code=$1 pattern=$2
+    shift 2
+    "$@" >"$W/out" 2>"$W/err"
+    local got=$?
+    [ $got = "$code" ] || fail "exit $got, not $code: $* ($(head -c 300 "$W/err"))"
+    [ "$(wc -l <"$W/err")" = 1 ] || fail "$(wc -l <"$W/err") lines, not 1, on standard error: $*: $(head -c 300 "$W/err")"
+    grep -q -- "$pattern" "$W/err" || fail "no '$pattern' from $*: $(head -c 300 "$W/err")"
+}
+
+has png || { echo "oriel.sh: skipped, built without PNG"; exit 77; }
+"$B/tools/synth" "$W" 6 3 || exit 1
+scene="--scene $W/scene.oriel" pose="--pose $W/pose.txt" clip="--source replay:$W/clip.y4m"
+
+# what it says about itself
+"$O" --help | grep -q extend || fail "--help"
+"$O" --version | grep -q '^cpu: ' || fail "--version"
+for c in info extend relight run; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
+"$O" info "$W/scene.oriel" | grep -q 'SDF8' || fail "info"
+"$O" info --json "$W/scene.oriel" | grep -q '"title": "synthetic"' || fail "info --json"
+if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | python3 -m json.tool >/dev/null || fail "info --json is not JSON"; fi
+
+# one hash for threads, kernels, machines
+want=$("$O" run $scene $pose $clip --sink hash: --cpu=ref --threads=1)
+[[ $want = hash\ *6\ frames\ of\ 200\ x\ 120 ]] || fail "run said '$want'"
+for cpu in ref auto avx2 neon dotprod; do
+    for threads in 1 2; do
+        got=$("$O" run $scene $pose $clip --sink hash: --cpu=$cpu --threads=$threads 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--cpu=$cpu: $(cat "$W/err")"; continue; }
+        [ "$got" = "$want" ] || fail "--cpu=$cpu --threads=$threads: $got, not $want"
+    done
+done
+if command -v aarch64-linux-gnu-gcc >/dev/null && command -v qemu-aarch64-static >/dev/null; then
+    board_want=$("$O" run $scene $pose $clip --sink hash: --frames 3)       # emulation is slow
+    for board in rpi4 rpi5; do
+        make -s BOARD=$board CC=aarch64-linux-gnu-gcc SAN= build/$board/oriel >"$W/make" 2>&1 || { fail "make BOARD=$board: $(tail -3 "$W/make")"; continue; }
+        cpu=cortex-a72; names="neon"
+        [ $board = rpi5 ] && { cpu=max; names="neon dotprod"; }
+        for name in $names; do
+            got=$(qemu-aarch64-static -cpu $cpu build/$board/oriel run $scene $pose $clip --sink hash: --cpu=$name --threads=2 --frames 3)
+            [ "$got" = "$board_want" ] || fail "$board, $name: $got, not $board_want"
+        done
+    done
+else
+    echo "oriel.sh: no aarch64 cross compiler or qemu here: boards left out"
+fi
+
+# sources and sinks
+"$O" run $scene $pose $clip --sink "y4m:$W/wide.y4m" || fail "y4m sink"
+"$O" run $scene $pose $clip --sink y4m:- | cmp - "$W/wide.y4m" || fail "y4m to standard output"
+"$O" run $scene $pose --source replay:- --sink hash: <"$W/clip.y4m" >"$W/out" || fail "source on standard input"
+[ "$(cat "$W/out")" = "$want" ] || fail "standard input: another hash"
+"$O" run $scene $pose $clip --sink "files:$W/frames/f%03d.png" --frames 3 || fail "files sink"
+[ "$(ls "$W/frames")" = $'f000.png\nf001.png\nf002.png' ] || fail "files sink wrote $(ls "$W/frames")"
+"$O" run $scene --pose "$W/pose.txt" --source "replay:$W/frames" --sink hash: --size 64x48 >/dev/null 2>"$W/err" && fail "frames of another shape than the camera's were taken"
+if command -v ffmpeg >/dev/null; then
+    n=$(ffmpeg -v error -i "$W/wide.y4m" -f framecrc - 2>"$W/err" | grep -vc '^#')
+    [ "$n" = 6 ] && [ ! -s "$W/err" ] || fail "ffmpeg read $n frames of 6 of the y4m sink: $(head -3 "$W/err")"
+    ffmpeg -v error -i "$W/clip.y4m" -q:v 2 "$W/frames/%03d.jpg" && rm "$W"/frames/*.png
+    if has jpeg; then "$O" run $scene $pose --source "replay:$W/frames" --sink hash: >"$W/out" || fail "JPEG folder"; grep -q '6 frames' "$W/out" || fail "JPEG folder: $(cat "$W/out")"; fi
+else
+    echo "oriel.sh: no ffmpeg here: its check of the y4m sink left out"
+fi
+
+# extend: the wide truth comes back
+"$O" extend $scene $pose "$W/photo.png" -o "$W/e.png" --report >"$W/out" || fail "extend"
+grep -q '^adaptation  ' "$W/out" && grep -q '^sun ' "$W/out" && grep -q '^seconds ' "$W/out" || fail "extend --report"
+if command -v ffmpeg >/dev/null; then
+    db=$(ffmpeg -v info -i "$W/e.png" -i "$W/wide.png" -lavfi psnr -f null - 2>&1 | grep -oE 'average:[0-9]+|average:inf' | cut -d: -f2)
+    [ "$db" = inf ] || [ "${db:-0}" -ge 38 ] || fail "extend: $db dB against the wide truth"
+fi
+"$O" extend $scene $pose "$W/photo.png" -o "$W/e2.png" --widen 1.4 --size 80x60 --no-blend || fail "extend --widen --size"
+if has jpeg; then "$O" extend $scene $pose "$W/photo.png" -o "$W/e.jpg" || fail "extend to JPEG"; fi
+"$O" extend $scene $pose "$W/photo.png" -o "$W/e3.png" --mask "$W/photo.png" 2>"$W/err" && fail "a mask over everything: no error"
+if has exr; then
+    "$O" relight $scene $pose --sky "$W/sky.exr" -o "$W/r.png" || fail "relight to PNG"
+    "$O" relight $scene $pose --sky "$W/sky.exr" -o "$W/r.exr" --rotate 40 --sun 10,30 || fail "relight to EXR"
+    expect 1 sky.exr "$O" relight $scene $pose --sky "$W/nosky.exr" -o "$W/r.png"
+    expect 1 photo.png "$O" relight $scene $pose --sky "$W/photo.png" -o "$W/r.png"
+fi
+
+# bad input: exit 1, one line that names the file
+head -c 1000 "$W/scene.oriel" >"$W/short.oriel"
+expect 1 short.oriel "$O" info "$W/short.oriel"
+expect 1 nothing "$O" info "$W/nothing"
+expect 1 photo.png "$O" info "$W/photo.png"
+expect 1 scene.oriel "$O" extend $scene $pose "$W/scene.oriel" -o "$W/x.png"
+expect 1 photo.png "$O" extend $scene --pose "$W/photo.png" "$W/photo.png" -o "$W/x.png"
+expect 1 colmap "$O" extend $scene --colmap "$W/colmap" "$W/photo.png" -o "$W/x.png"
+expect 1 'x.tiff' "$O" extend $scene $pose "$W/photo.png" -o "$W/x.tiff"
+expect 1 frames "$O" run $scene $pose --source "replay:$W/nothing/frames" --sink hash:
+expect 1 photo.png "$O" run $scene $pose --source "replay:$W/photo.png" --sink hash:
+expect 1 v4l2 "$O" run $scene $pose --source v4l2:/dev/video0 --sink hash:
+expect 1 'sink x:' "$O" run $scene $pose $clip --sink x:
+[ -e "$W/x.png" ] && fail "a failed run left a picture"
+# a clip that is cut short, and one with a broken picture: named, repeated, done
+head -c 100000 "$W/clip.y4m" >"$W/cut.y4m"
+expect 0 'cut.y4m: picture 3' "$O" run $scene $pose --source "replay:$W/cut.y4m" --sink hash:
+grep -q '4 frames' "$W/out" || fail "cut clip: $(cat "$W/out")"
+cp "$W/clip.y4m" "$W/torn.y4m"
+head=$(head -1 "$W/clip.y4m" | wc -c)
+printf 'XXXXXX' | dd of="$W/torn.y4m" bs=1 seek=$((head + 2 * (6 + 160 * 120 * 3 / 2))) conv=notrunc status=none
+expect 0 'torn.y4m: picture 2' "$O" run $scene $pose --source "replay:$W/torn.y4m" --sink hash:
+grep -q '6 frames' "$W/out" || fail "torn clip: $(cat "$W/out")"
+head -1 "$W/clip.y4m" >"$W/empty.y4m"
+expect 1 'no picture' "$O" run $scene $pose --source "replay:$W/empty.y4m" --sink hash:
+if [ -e /dev/full ]; then
+    expect 1 '/dev/full' "$O" run $scene $pose $clip --sink y4m:/dev/full
+    "$O" info "$W/scene.oriel" >/dev/full 2>"$W/err" && fail "info to a full disk: exit 0"
+fi
+
+# wrong usage: 2
+expect 2 "no command" "$O" frobnicate
+expect 2 "unknown option --frob" "$O" extend --frob
+expect 2 "needs a value" "$O" extend --scene
+expect 2 "wanted are" "$O" extend $scene $pose
+expect 2 "wanted are" "$O" run $scene $pose
+expect 2 "one scene file" "$O" info
+expect 2 "--threads" "$O" run $scene $pose $clip --sink hash: --threads x
+expect 2 "--widen" "$O" extend $scene $pose --widen nan "$W/photo.png" -o "$W/x.png"
+expect 2 "--size" "$O" extend $scene $pose --size 10 "$W/photo.png" -o "$W/x.png"
+expect 2 "--cpu" "$O" run $scene $pose $clip --sink hash: --cpu=z80
+"$O" >"$W/out" 2>"$W/err"
+[ $? = 2 ] && [ ! -s "$W/out" ] || fail "no command: not exit 2"
+
+# the Y4M fuzz target over the clips above
+san=
+case $B in *-san) san="-fsanitize=address,undefined -fno-sanitize-recover=undefined" ;; esac
+${CC:-cc} -std=c11 -D_GNU_SOURCE -O1 -g $san -DFUZZ_MAIN -Iinclude -I. -o "$W/fuzz" tests/fuzz/fuzz_y4m.c "$B/liboriel.a" $(pkg-config --libs libjpeg libpng OpenEXR 2>/dev/null) -lpthread -lm && "$W/fuzz" "$W"/*.y4m "$W/photo.png" || fail "fuzz_y4m"
+exit $bad
