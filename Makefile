@@ -8,6 +8,8 @@
 #   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native
 BOARD ?= host
 TRAIN_ARCH ?= -march=native
+# a comma for use in function arguments
+, := ,
 B := build/$(BOARD)$(if $(SAN),-san)
 all:
 ifneq ($(BOARD),host)
@@ -27,7 +29,6 @@ LIBS := $(if $(OPT_JPEG),$(shell $(PKG) --libs libjpeg)) $(if $(OPT_PNG),$(shell
 DEFS := $(if $(OPT_JPEG),-DORL_HAVE_JPEG) $(if $(OPT_PNG),-DORL_HAVE_PNG) $(if $(OPT_EXR),-DORL_HAVE_EXR $(shell $(PKG) --cflags OpenEXR))
 FLAGS := -g -O3 -Wall -Wextra -D_GNU_SOURCE -Iinclude -I. -MMD -MP $(CPU) $(DEFS) $(if $(SAN),-fsanitize=address$(,)undefined -fno-omit-frame-pointer -fno-sanitize-recover=undefined)
 LINK := $(if $(SAN),-fsanitize=address$(,)undefined) $(LDFLAGS)
-, := ,
 
 KERNELS := $(wildcard runtime/kernels/*.c)
 NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c)
@@ -51,7 +52,7 @@ $B/oriel-train: $B/obj/trainer/main.o $B/libtrainer.a $B/liboriel.a
 $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
 	@mkdir -p $(@D)
 	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS)
-$B/tools/%: $B/obj/tests/tools/%.o $B/liboriel.a
+$B/tools/%: $B/obj/tests/tools/%.o $B/libtrainer.a $B/liboriel.a
 	@mkdir -p $(@D)
 	$(CC) $(LINK) -o $@ $^ $(LIBS)
 $B/obj/%.o: %.c
@@ -72,7 +73,7 @@ test: deps
 	@$(MAKE) --no-print-directory tests
 	@tests/run.sh $B
 demo: deps
-	@$(MAKE) --no-print-directory all $B/tools/attraction
+	@$(MAKE) --no-print-directory all $B/tools/attraction $B/tools/panel
 	@tests/demo.sh $B
 bench: tests
 	@tests/bench.sh $B

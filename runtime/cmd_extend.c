@@ -81,7 +81,7 @@ static orl_err extend(const options *o)
     orl_widen w;
     void *block = NULL;
     double t[6] = { orl_seconds() };
-    orl_err e = orl_scene_open(o->scene, &scene);
+    orl_err e = orl_place_open(o->scene, &scene);
     if (e) return e;
     if ((e = orl_image_read(o->photo, 3, &photo))) goto done;
     if ((e = orl_views_find(&o->view, o->photo, photo.w, photo.h, &from, &to))) goto done;

@@ -74,8 +74,8 @@ int orl_cmd_info(int argc, char **argv)
     } else {
         printf("%s: %.64s, %zu bytes\n", path, s.title, s.map_bytes);
         for (int i = 0; i < n; i++) printf("  %-4s  %10" PRIu64 " bytes at %10" PRIu64 "  crc %08" PRIx32 "\n", part[i].tag, part[i].bytes, part[i].offset, part[i].crc);
-        printf("grid      %u x %u x %u cells of %.6g, box %.5g x %.5g x %.5g world units\n", s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, size[0], size[1], size[2]);
-        printf("bricks    %u of %" PRIu64 " (%.1f %%)\n", s.nbricks, total, 100.0 * s.nbricks / (double)total);
+        if (total) printf("grid      %u x %u x %u cells of %.6g, box %.5g x %.5g x %.5g world units\n", s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, size[0], size[1], size[2]);
+        if (total) printf("bricks    %u of %" PRIu64 " (%.1f %%)\n", s.nbricks, total, 100.0 * s.nbricks / (double)total);
         printf("light     %d of %d environment dimensions, %d of %d of the sky's own, %s, %d of %d shadow features\n", env, ORL_ENV_DIM, own, ORL_SKY_DIM,
                s.lite ? "openness and horizons" : "no horizons", shadow, ORL_SHADOW_DIM);
         printf("codes     %u training photos\n", s.ncodes);

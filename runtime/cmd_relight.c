@@ -258,7 +258,7 @@ static orl_err relight(const options *o)
     float (*env)[3] = malloc(ORL_ENV * sizeof *env), *linear = NULL, code[ORL_CODE], up[3];
     void *block = NULL;
     memset(&s, 0, sizeof s);
-    orl_err e = light && env ? orl_scene_open(o->scene, &scene) : orl_fail(ORL_E_MEMORY, "relight: no memory");
+    orl_err e = light && env ? orl_place_open(o->scene, &scene) : orl_fail(ORL_E_MEMORY, "relight: no memory");
     if (!e) e = orl_exr_read(o->sky, "RGB", &s.map);
     if (!e && (s.map.w < 8 || s.map.h < 4)) e = orl_fail(ORL_E_RANGE, "%s: %d x %d pixels are no environment map", o->sky, s.map.w, s.map.h);
     if (!e) e = orl_views_find(&o->view, o->photo ? o->photo : "", 0, 0, &from, &to);

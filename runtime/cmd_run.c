@@ -89,7 +89,7 @@ static orl_err run(const options *o)
     orl_image photo = { 0 }, wide = { 0 };
     void *block = NULL;
     char line[256] = "";
-    orl_err e = orl_scene_open(o->scene, &scene);
+    orl_err e = orl_place_open(o->scene, &scene);
     if (e) return e;
     if ((e = orl_source_open(o->source, &source))) goto done;
     const orl_source_info *i = &source->info;

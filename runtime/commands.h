@@ -5,6 +5,7 @@
 #include <getopt.h>
 #include "oriel/camera.h"
 #include "oriel/image.h"
+#include "oriel/scene.h"
 
 int orl_cmd_info(int argc, char **argv);
 int orl_cmd_extend(int argc, char **argv);
@@ -26,5 +27,7 @@ typedef struct { const char *pose, *colmap; double widen, otherwise; int w, h; }
  * the pose file's second line, unless widen or size ask for another; without either the field of view `otherwise` times as wide. Size: the photo's scale, at most 4096 pixels. */
 orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide);
 
+/* A scene file to render: one that holds a sky decoder alone is ORL_E_FORMAT. */
+orl_err orl_place_open(const char *path, orl_scene *out);
 double orl_seconds(void);       /* monotonic */
 #endif

@@ -57,6 +57,19 @@ double orl_seconds(void)
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
+orl_err orl_place_open(const char *path, orl_scene *out)
+{
+    orl_scene s;
+    orl_err e = orl_scene_open(path, &s);
+    if (e) return e;
+    if (!s.nbricks) {
+        orl_scene_close(&s);
+        return orl_fail(ORL_E_FORMAT, "%s: it holds no surface to render", path);
+    }
+    *out = s;
+    return ORL_OK;
+}
+
 static const char *last_part(const char *path)
 {
     const char *slash = strrchr(path, '/');

@@ -13,6 +13,7 @@
 
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {
+    { "demo",     320, 192, 2048,  2000,  8000,  40 },
     { "quick",    384, 256, 2048,  6000, 16000,  60 },
     { "standard", 512, 512, 4096, 16000, 40000, 120 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
@@ -23,7 +24,7 @@ static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
-    "      --preset NAME      quick, standard (default) or full: about 10, 60, 180 minutes on two cores\n"
+    "      --preset NAME      demo, quick, standard (default) or full: about 4, 10, 40, 180 minutes on two cores\n"
     "      --resume           go on from FILE.ckpt\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"
@@ -199,7 +200,7 @@ int cmd_fit(int argc, char **argv)
         { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
     fit_options o = { .use_masks = 1 };
-    const preset *p = &PRESETS[1];
+    const preset *p = &PRESETS[2];
     int c, steps = 0, cells = 0, threads = orl_cores();
     unsigned long long seed = 1;
     while ((c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) {
@@ -208,7 +209,7 @@ int cmd_fit(int argc, char **argv)
         case PRESET:
             p = NULL;
             for (size_t i = 0; i < sizeof PRESETS / sizeof *PRESETS; i++) if (!strcmp(PRESETS[i].name, optarg)) p = &PRESETS[i];
-            if (!p) { fprintf(stderr, "oriel-train fit: --preset %s: quick, standard or full\n", optarg); return 2; }
+            if (!p) { fprintf(stderr, "oriel-train fit: --preset %s: demo, quick, standard or full\n", optarg); return 2; }
             break;
         case RESUME: o.resume = 1; break;
         case STAGE2: o.stage2 = 1; break;

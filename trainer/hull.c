@@ -192,3 +192,46 @@ done:
     free(j.solid);
     return e;
 }
+
+typedef struct { world *w; const float *sdf; int cell, n[3]; } relabel_job;
+
+static int hull_hit(const relabel_job *j, const float o[3], const float d[3])
+{
+    float t, t1;
+    if (!box_clip(j->w->frame.dims, o, d, &t, &t1)) return 0;
+    for (int k = 0; k < 256 && t < t1; k++) {
+        int q[3];
+        for (int a = 0; a < 3; a++) {
+            q[a] = (int)((o[a] + t * d[a]) / (float)j->cell + 0.5f);
+            q[a] = q[a] < 0 ? 0 : q[a] >= j->n[a] ? j->n[a] - 1 : q[a];
+        }
+        float f = j->sdf[((size_t)q[2] * (size_t)j->n[1] + (size_t)q[1]) * (size_t)j->n[0] + (size_t)q[0]];
+        if (f < (float)j->cell) return 1;       /* a cell's margin: silhouettes stay scene */
+        t += 0.8f * f;
+    }
+    return 0;
+}
+
+static void relabel_range(void *user, int begin, int end)
+{
+    relabel_job *j = user;
+    for (int k = begin; k < end; k++) {
+        world_photo *p = &j->w->photos[k];
+        float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
+        for (int y = 0; y < p->h; y += 2)
+            for (int x = 0; x < p->w; x += 2) {
+                world_ray(p, x + 1, y + 1, d);
+                if (hull_hit(j, o, d)) continue;
+                for (int b = 0; b < 4; b++) {
+                    int xx = x + (b & 1), yy = y + (b >> 1);
+                    if (xx < p->w && yy < p->h && p->sky[yy * p->w + xx] < 55) p->sky[yy * p->w + xx] = 128;
+                }
+            }
+    }
+}
+
+void hull_relabel(world *w, const float *sdf, int cell, int threads)
+{
+    relabel_job j = { w, sdf, cell, { w->frame.dims[0] / cell + 1, w->frame.dims[1] / cell + 1, w->frame.dims[2] / cell + 1 } };
+    orl_parallel(threads, w->nphotos, 1, relabel_range, &j);
+}

@@ -16,6 +16,7 @@ enum { COARSE = 256, FINE = 512, ROUNDS = 4, SWEEPS = 24, BINS = 24, CELLS = BIN
 
 typedef struct {
     int w, h;
+    float scene;                /* texture that the scene shows */
     float unit;                 /* long side / COARSE: lengths below are for COARSE */
     float *ch[3];               /* luma, R - B, G - (R + B) / 2; 0..1 */
     float *wx, *wy;             /* edge weights to the right and down */
@@ -99,7 +100,7 @@ static void find_texture(level *l)
             int i = y * w + x;
             l->goal[i] = step_between(l, i, x + 1 < w ? i + 1 : i) + step_between(l, i, y + 1 < h ? i + w : i);
         }
-    int r = (int)(2 * l->unit + 0.5f);
+    int r = l->unit > 1.25f ? (int)(2 * l->unit + 0.5f) : 2;
     box_mean(l->goal, w, h, r, l->lambda, l->base);
     /* The smoothest of the windows that hold the pixel, so that sky beside an edge stays smooth. */
     for (int y = 0; y < h; y++)
@@ -163,7 +164,7 @@ static void find_up(level *l, const orl_camera *cam, const double up[3], int hor
             double ux = up[0] - d[0] * up[2], uy = up[1] - d[1] * up[2];    /* the way to the zenith in the picture */
             if (!(uy < -0.5 * fabs(ux))) continue;                          /* not upright here: nothing is known to be above */
             double from = x - ux / uy;
-            if (from < 0 || from > w - 1) continue;
+            if (!(from >= 0 && from <= w - 1)) continue;
             int a = (int)from, b = a + 1 < w ? a + 1 : a;
             float f = (float)(from - a);
             const float *above = l->cover + (size_t)(y - 1) * w, *here = count + (size_t)(y - 1) * w;
@@ -274,12 +275,12 @@ static void weigh_blue(level *l)
     }
 }
 
-static void weigh(level *l, float scene)
+static void weigh(level *l)
 {
     for (int i = 0; i < l->w * l->h; i++) {
         float u = 1.2f;
-        u += 1.5f * clampf(logf(0.25f * scene / (l->texture[i] + 0.002f)), -2, 1);
-        u += 0.7f * clampf(logf(0.3f * scene / (l->barrier[i] + 0.002f)), -2, 1);
+        u += 1.5f * clampf(logf(0.25f * l->scene / (l->texture[i] + 0.002f)), -2, 1);
+        u += 0.7f * clampf(logf(0.3f * l->scene / (l->barrier[i] + 0.002f)), -2, 1);
         u -= 4 * l->cover[i];
         u -= 3 * clampf(1 - l->elevation[i] / 0.05f, 0, 2);
         l->base[i] = u;
@@ -350,45 +351,52 @@ static void find_rim(level *l, float *rim)
 }
 
 /* Parts of sky (x > 1/2, 4-connected) apart from the largest one must share its colours, or they are unknown: dome panels, panes, bright walls.
- * So is all of it where the largest part is tiny, or is the whole picture. */
+ * So is a part as rough as the scene, and all of it where the largest part is tiny, or is all there is above the horizon. */
 static orl_err question_parts(level *l, const colours *c, float *hist)
 {
     int w = l->w, n = w * l->h, parts = 0, best = -1, most = 0;
-    int *label = malloc((size_t)n * 2 * sizeof *label), *stack = label + n;
-    if (!label) return orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", w, l->h);
+    int *label = malloc((size_t)n * sizeof *label), *stack = malloc((size_t)n * sizeof *stack);
+    float *shared = NULL, *size, *rough;
+    orl_err e = ORL_E_MEMORY;
+    if (!label || !stack) goto done;
     for (int i = 0; i < n; i++) label[i] = l->x[i] > 0.5f ? -1 : -2;
     for (int seed = 0; seed < n; seed++) {
         if (label[seed] != -1) continue;
-        int top = 0, size = 0;
+        int top = 0, area = 0;
         label[stack[top++] = seed] = parts;
         while (top) {
             int i = stack[--top], x = i % w;
-            size++;
+            area++;
             const int to[4] = { x ? i - 1 : -1, x + 1 < w ? i + 1 : -1, i - w, i + w < n ? i + w : -1 };
             for (int q = 0; q < 4; q++) if (to[q] >= 0 && label[to[q]] == -1) label[stack[top++] = to[q]] = parts;
         }
-        if (size > most) { most = size; best = parts; }
+        if (area > most) { most = area; best = parts; }
         parts++;
     }
-    int nothing = most < n / 2000 || most > n - n / 50;
+    int above = 0;
+    for (int i = 0; i < n; i++) above += l->elevation[i] > 0.05f;
+    int nothing = most < n / 2000 || most > above - above / 50;
     memset(hist, 0, CELLS * sizeof *hist);
     for (int i = 0; i < n; i++) if (label[i] == best && best >= 0) hist[colours_cell(c, l, i)] += 1;
     for (int pass = 0; pass < 2; pass++) smooth_cells(hist);
-    float *shared = calloc((size_t)parts + 1, 2 * sizeof *shared), *size = shared + parts;
-    if (!shared) { free(label); return orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d parts", parts); }
-    for (int i = 0; i < n; i++)
-        if (label[i] >= 0) {
-            size[label[i]] += 1;
-            shared[label[i]] += hist[colours_cell(c, l, i)] > 2.0f * (float)most / CELLS;
-        }
-    for (int i = 0; i < n; i++)
-        {
-            int k = label[i];
-            if (k >= 0 && (nothing || (size[k] < 0.15f * (float)most && shared[k] < 0.5f * size[k]))) l->x[i] = 0.5f;
-        }
-    free(shared);
-    free(label);
-    return ORL_OK;
+    shared = calloc((size_t)parts + 1, 3 * sizeof *shared);
+    if (!shared) goto done;
+    size = shared + parts;
+    rough = size + parts;
+    for (int i = 0; i < n; i++) {
+        if (label[i] < 0) continue;
+        size[label[i]] += 1;
+        rough[label[i]] += l->texture[i] / l->scene;
+        shared[label[i]] += hist[colours_cell(c, l, i)] > 2.0f * (float)most / CELLS;
+    }
+    for (int i = 0; i < n; i++) {
+        int k = label[i];
+        if (k >= 0 && (nothing || rough[k] > 0.75f * size[k] || (size[k] < 0.15f * (float)most && shared[k] < 0.5f * size[k]))) l->x[i] = 0.5f;
+    }
+    e = ORL_OK;
+done:
+    free(shared); free(label); free(stack);
+    return e ? orl_fail(e, "sky mask: no memory for %d x %d", w, l->h) : ORL_OK;
 }
 
 static void colours_learn(colours *c, level *l, float *sky, float *scene)
@@ -452,8 +460,8 @@ static void solve(level *l, int sweeps)
 static void admit_doubt(level *l)
 {
     for (int i = 0; i < l->w * l->h; i++) {
-        float far = clampf((l->dist[i] - 6) / 8, 0, 1) * clampf(l->elevation[i] / 0.03f, 0, 1) * clampf(1 - 2 * l->cover[i], 0, 1);
-        l->x[i] = maxf(l->x[i], 0.35f * far);
+        float far = clampf((l->dist[i] - 16) / 8, 0, 1) * clampf(l->elevation[i] / 0.03f, 0, 1) * clampf(1 - 2 * l->cover[i], 0, 1);
+        l->x[i] = maxf(l->x[i], 0.4f * far);
     }
 }
 
@@ -478,6 +486,9 @@ static size_t drop_lonely(const float (*pt)[2], size_t n, int w, int h, float (*
         }
     return kept;
 }
+
+/* Spreading makes x timid along edges: 1.3 times its log-odds. */
+static float sharpen(float x) { return sigmoid(1.3f * logf((x + 1e-3f) / (1.001f - x))); }
 
 /* Bilinear, pixel centres aligned. */
 static void stretch(const float *in, int w, int h, float *out, int ow, int oh)
@@ -514,9 +525,9 @@ static orl_err level_make(level *l, const orl_image *photo, int side, const leve
             find_up(l, &c, up, horizon, pt, n, sx, sy);
             find_barrier(l);
         }
-        float scene = scene_texture(l, l->goal);
-        weigh(l, scene);
-        weigh_edges(l, clampf(0.5f * scene, 0.01f, 0.05f));
+        l->scene = scene_texture(l, l->goal);
+        weigh(l);
+        weigh_edges(l, clampf(0.5f * l->scene, 0.01f, 0.05f));
     }
     orl_image_free(&small);
     return e;
@@ -539,7 +550,9 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     float *cells = malloc(2 * CELLS * sizeof *cells), (*kept)[2] = malloc((npoints + 1) * sizeof *kept);
     orl_err e = c && cells && kept ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky mask: no memory for colours and points");
     if (!e) npoints = drop_lonely(points, npoints, photo->w, photo->h, kept);
-    if (e || (e = level_make(&coarse, photo, COARSE, NULL, cam, zenith, up != NULL, (const float (*)[2])kept, npoints)) || (e = level_make(&fine, photo, FINE, &coarse, cam, zenith, up != NULL, (const float (*)[2])kept, npoints))) goto done;
+    const float (*pt)[2] = (const float (*)[2])kept;
+    if (e || (e = level_make(&coarse, photo, COARSE, NULL, cam, zenith, up != NULL, pt, npoints)) ||
+        (e = level_make(&fine, photo, FINE, &coarse, cam, zenith, up != NULL, pt, npoints))) goto done;
 
     colours_range(c, &coarse);
     for (int round = 0; round < ROUNDS; round++) {
@@ -558,7 +571,7 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
     if (!full) { e = orl_fail(ORL_E_MEMORY, "sky mask: no memory for %d x %d", photo->w, photo->h); goto done; }
     if ((e = orl_image_alloc(&out, photo->w, photo->h, 1))) goto done;
     stretch(fine.x, fine.w, fine.h, full, photo->w, photo->h);
-    for (size_t i = 0; i < (size_t)photo->w * photo->h; i++) out.px[i] = (uint8_t)(clampf(full[i], 0, 1) * 255 + 0.5f);
+    for (size_t i = 0; i < (size_t)photo->w * photo->h; i++) out.px[i] = (uint8_t)(255 * sharpen(full[i]) + 0.5f);
     *prob = out;
 done:
     free(full); free(c); free(cells); free(kept); free(coarse.block); free(fine.block);

@@ -24,7 +24,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define LAMBDA_FREE 0.05f
 #define LAMBDA_TRANSIENT 0.012f
 
-orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
+orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt)
 {
     memset(s, 0, sizeof *s);
     s->w = w;
@@ -45,6 +45,7 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
     int cell = SDF_CELL[2];
     if (!e) e = hull_build(w, cell, opt->threads, &hull);
     if (e) { stage1_free(s); return e; }
+    hull_relabel(w, hull, cell, opt->threads);
     grid *g = &s->sdf[2];
     int n[3];
     for (int a = 0; a < 3; a++) n[a] = w->frame.dims[a] / cell + 1;
@@ -96,7 +97,10 @@ static schedule schedule_at(const stage1 *s)
     schedule c;
     c.finest = t < 0.15f ? 2 : t < 0.4f ? 1 : 0;
     float u = t < 0.9f ? t / 0.9f : 1.0f;
-    c.sigma = 1.2f * expf(logf(0.4f / 1.2f) * u);
+    int longest = 0;
+    for (int a = 0; a < 3; a++) longest = s->w->frame.dims[a] > longest ? s->w->frame.dims[a] : longest;
+    float wide = 1.2f * fmaxf(1.0f, (float)longest / 256);     /* what the first SDF may be off by, whatever the cell */
+    c.sigma = wide * expf(logf(0.4f / wide) * u);
     c.band = 5.0f * c.sigma;
     c.delta = fmaxf(0.9f * c.sigma, 0.5f);
     c.lr = expf(logf(0.08f) * t);

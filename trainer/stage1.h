@@ -27,7 +27,8 @@ typedef struct {
     grid transient;                 /* per photo, every 8 pixels: logit of alpha, RGB, beta before softplus */
 } stage1;
 
-orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt);
+/* Builds the hull as the first SDF; sky labels that contradict it become unknown. */
+orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt);
 void stage1_free(stage1 *s);
 /* One optimisation step; repeatable for seed, step and thread count. */
 void stage1_step(stage1 *s, stage1_losses *out);

@@ -19,12 +19,11 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
     int sky_left = s->opt.pixels / 5;
     for (int tries = 0; tries < 2 * s->opt.pixels && n < (uint32_t)s->opt.pixels; tries++) {
         int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = p->sky[y * p->w + x];
-        int sky = label > 200;
-        if (sky && sky_left == 0) continue;
         world_ray(p, x + 0.5, y + 0.5, d);
         surface_hit h;
         int hit = surface_march(s->surf, o, d, &h);
-        if (hit == sky || (!hit && label > 55 && !sky)) continue;
+        int sky = label > 200 || (!hit && label >= 55 && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
+        if (hit == sky || (sky && sky_left == 0)) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
         float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
@@ -32,7 +31,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         if (sky) {
             if (at > 0.5f) continue;
             memcpy(q->x, d, sizeof d);
-            q->weight = 255;
+            q->weight = label > 200 ? 255 : 96;
             sky_left--;
             n++;
             continue;
@@ -142,7 +141,7 @@ void stage2_free(stage2 *s)
     memset(s, 0, sizeof *s);
 }
 
-typedef struct { grid_cell a[ALBEDO_LEVELS], s; int clamped; } cells;
+typedef struct { grid_cell a[ALBEDO_LEVELS], s; float excess[3]; } cells;   /* excess: base colour before the clamp minus after */
 
 static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
 {
@@ -154,7 +153,10 @@ static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
     }
     grid_find(&s->shadow, x, &c->s);
     grid_vector(&s->shadow, &c->s, 1, phi);
-    for (int k = 0; k < 3; k++) o->albedo[k] = a[k] < 0.02f ? 0.02f : a[k] > 1.0f ? 1.0f : a[k];
+    for (int k = 0; k < 3; k++) {
+        o->albedo[k] = a[k] < 0.02f ? 0.02f : a[k] > 1.0f ? 1.0f : a[k];
+        c->excess[k] = a[k] - o->albedo[k];
+    }
     for (int k = 0; k < ORL_SHADOW_DIM; k++) o->phi[k] = phi[0][k];
 }
 
@@ -259,6 +261,7 @@ static void grad_photos(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) d[a] *= scale;
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
                 if (!q->surface) continue;
+                for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a];     /* back into range: the scene file clamps vertices, not sums */
                 v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
                 for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da);
                 v8 dp[1];

@@ -47,4 +47,6 @@ int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, 
 
 /* First SDF from SfM rays and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
 orl_err hull_build(const world *w, int cell, int threads, float **sdf);
+/* Pixels labelled scene whose rays miss the hull (clouds taken for stone, a background outside the box) become unknown: nothing is asked of the surface there. */
+void hull_relabel(world *w, const float *sdf, int cell, int threads);
 #endif

@@ -33,11 +33,11 @@ static orl_err render(orl_view *v, const orl_light *l, uint8_t *rgb)
     return t ? ORL_OK : orl_fail(ORL_E_MEMORY, "synth: no memory");
 }
 
-static orl_err build(const orl_scene *s, const orl_camera *c, const orl_pose *p, orl_view *v, orl_image *im)
+static orl_err build(const orl_scene *s, const orl_camera *c, const orl_pose *p, orl_view *v, orl_image *im, void **block)
 {
     size_t need = orl_view_need(c->w, c->h);
-    void *block = aligned_alloc(64, (need + 63) & ~(size_t)63);     /* lives as long as the tool */
-    orl_err e = block ? orl_view_build(s, c, p, 2, 1, block, need, v) : orl_fail(ORL_E_MEMORY, "synth: no memory");
+    *block = aligned_alloc(64, (need + 63) & ~(size_t)63);
+    orl_err e = *block ? orl_view_build(s, c, p, 2, 1, *block, need, v) : orl_fail(ORL_E_MEMORY, "synth: no memory");
     return e ? e : orl_image_alloc(im, c->w, c->h, 3);
 }
 
@@ -81,8 +81,10 @@ int main(int argc, char **argv)
     orl_view view, wide_view;
     orl_image im = { 0 }, wide = { 0 };
     orl_sink *clip = NULL;
+    void *block[2] = { NULL };
     orl_light *light = malloc(sizeof *light);
     if (!dir || !light) {
+        free(light);
         fprintf(stderr, "usage: synth DIR [FRAMES [JUMP]]\n");
         return 2;
     }
@@ -93,8 +95,8 @@ int main(int argc, char **argv)
     orl_err e = snprintf(path, sizeof path, "%s/scene.oriel", dir) < (int)sizeof path - 16 ? orl_scene_write(path, &s, NULL) : orl_fail(ORL_E_RANGE, "synth: path too long");
     snprintf(path, sizeof path, "%s/pose.txt", dir);
     if (!e) e = write_pose(path, cam, 2, &pose);
-    if (!e) e = build(&s, &cam[0], &pose, &view, &im);
-    if (!e) e = build(&s, &cam[1], &pose, &wide_view, &wide);
+    if (!e) e = build(&s, &cam[0], &pose, &view, &im, &block[0]);
+    if (!e) e = build(&s, &cam[1], &pose, &wide_view, &wide, &block[1]);
     snprintf(spec, sizeof spec, "y4m:%s/clip.y4m", dir);
     if (!e) e = orl_sink_open(spec, W, H, 10, 1, &clip);
     for (int i = 0; !e && i < frames; i++) {
@@ -107,9 +109,16 @@ int main(int argc, char **argv)
         if (!e && !i) e = render(&wide_view, light, wide.px);
         if (!e && !i) e = orl_image_write(path, &wide);
     }
-    if (clip && !e) e = orl_sink_close(clip, NULL, 0);
+    if (clip) {
+        orl_err last = orl_sink_close(clip, NULL, 0);
+        e = e ? e : last;
+    }
     snprintf(path, sizeof path, "%s/sky.exr", dir);
     if (!e && strstr(orl_image_formats(), "exr")) e = write_sky(path);
     if (e) fprintf(stderr, "synth: %s\n", orl_error_text());
+    free(block[0]); free(block[1]); free(light);
+    orl_image_free(&im);
+    orl_image_free(&wide);
+    synth_scene_free(&s);
     return e != ORL_OK;
 }
