@@ -121,7 +121,7 @@ static void finds_none_where_none_is(void **s)
     for (int y = 0; y < 200; y++) for (int x = 0; x < im.w; x++) put(&im, x, y, 225 + spread(2), 220 + spread(2), 210 + spread(2));
     for (int i = 0; i < N; i++) { pt[i][0] = (float)(next() % 512); pt[i][1] = (float)(next() % 384); }
     m = run(&im, UP, (const float (*)[2])pt, N);
-    assert_true(share_above(&m, ORL_SKY_SURE) < 0.01);
+    assert_true(share_above(&m, ORL_SKY_SURE) == 0);
     orl_image_free(&m);
     orl_image_free(&im);
 }
@@ -211,20 +211,19 @@ static void finds_up(void **s)
     assert_int_equal(orl_skymask_up(&d, up), ORL_E_DEGENERATE);
 }
 
+/* Every sixth photo, taken as they come: among them one without a sky (train_012) and one with hardly any (train_042). */
 static void agrees_on_basilica(void **s)
 {
     (void)s;
     orl_dataset d;
-    double up[3], precision = 0, recall = 0;
+    double up[3], precision = 0, recall = 0, right = 0, wrong = 0;
     if (orl_dataset_open("../shared/data/basilica", NULL, NULL, &d)) { print_message("no basilica: %s\n", orl_error_text()); skip(); }
     assert_int_equal(orl_skymask_up(&d, up), ORL_OK);
     assert_true(up[2] > 0.999);
-    int n = 0;
-    for (uint32_t i = 0; i < d.nphotos && n < 8; i++) {
-        static const char *const NAMES[8] = { "train_000.jpg", "train_004.jpg", "train_007.jpg", "train_013.jpg", "train_023.jpg", "train_027.jpg", "train_043.jpg", "train_046.jpg" };
+    int train = 0, called = 0, there = 0;
+    for (uint32_t i = 0; i < d.nphotos; i++) {
         const orl_photo *p = &d.photos[i];
-        if (strcmp(p->name, NAMES[n])) continue;
-        n++;
+        if (p->test || train++ % 6) continue;
         orl_image im, m, given;
         orl_camera cam;
         assert_int_equal(orl_photo_load(p, 512, &im, &cam), ORL_OK);
@@ -237,14 +236,20 @@ static void agrees_on_basilica(void **s)
             fp += !truth && here;
             fn += truth && !here;
         }
-        precision += tp / (tp + fp) / 8;
-        recall += tp / (tp + fn) / 8;
+        assert_true(fp < 0.002 * m.w * m.h);        /* on no photo is more than this carved away */
+        right += tp;
+        wrong += fp;
+        if (tp + fp > 0) { precision += tp / (tp + fp); called++; }
+        if (tp + fn > 0) { recall += tp / (tp + fn); there++; }
         orl_image_free(&im); orl_image_free(&m); orl_image_free(&given);
     }
-    assert_int_equal(n, 8);
-    print_message("precision %.4f recall %.4f\n", precision, recall);
-    assert_true(precision > 0.99);
-    assert_true(recall > 0.93);
+    assert_int_equal(train, 48);
+    precision /= called;
+    recall /= there;
+    print_message("precision %.4f (mean of %d), %.4f (of all pixels), recall %.4f (mean of %d)\n", precision, called, right / (right + wrong), recall, there);
+    assert_true(precision > 0.96);      /* train_042 calls 0.2 % of the picture sky and is five sixths right */
+    assert_true(right / (right + wrong) > 0.995);
+    assert_true(recall > 0.79);         /* trees and towers of the panoramas are sky in the given masks */
     orl_dataset_free(&d);
 }
 

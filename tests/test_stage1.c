@@ -46,7 +46,7 @@ static void make_world(world *w)
     w->npoints = 16;
 }
 
-/* Perturbs the entries with the largest gradients of a grid and compares. Sample positions do not depend on the parameters here: the whole box lies within the band of step 0. */
+/* Perturbs the entries with the largest gradients of a grid and compares. Sample positions do not depend on the parameters here: the whole box lies within the band of sigma 4. */
 static int check_grid(stage1 *s, grid *g, const char *name, float h, double tolerance)
 {
     stage1_losses l;
@@ -90,8 +90,8 @@ static void gradients_match_finite_differences(void **state)
         world w;
         stage1 s;
         make_world(&w);
-        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 100, 7, 1 }), ORL_OK);
-        s.fade = 0;
+        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 100, 7, 1, 4.0f }), ORL_OK);
+        s.heuristics = 0;
         s.step = transient ? 21 : 0;            /* the transient branch joins at a fifth of the run */
         rng r = rng_make(3, 0, 0);
         for (int l = 0; l < FEAT_LEVELS; l++) for (size_t i = 0; i < s.feat[l].nverts * FEAT; i++) s.feat[l].p[i] = 0.2f * rng_normal(&r);
@@ -115,7 +115,7 @@ static void steps_repeat(void **state)
     for (int run = 0; run < 2; run++) {
         stage1 s;
         stage1_losses l;
-        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 30, 7, 2 }), ORL_OK);
+        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 30, 7, 2, 0 }), ORL_OK);
         for (int i = 0; i < 30; i++) {
             stage1_step(&s, &l);
             assert_true(isfinite(l.total));

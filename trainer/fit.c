@@ -14,8 +14,8 @@
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {
     { "demo",     320, 192, 2048,  2000,  8000,  40 },
-    { "quick",    384, 256, 2048,  6000, 16000,  60 },
-    { "standard", 512, 512, 4096, 16000, 40000, 120 },
+    { "quick",    384, 256, 2048,  6000, 30000,  60 },
+    { "standard", 512, 512, 4096, 10000, 90000, 100 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
 enum { CHECKPOINT_SECONDS = 45, ROUND_STEPS = 6 };
@@ -105,7 +105,7 @@ static orl_err run(const fit_options *o, const orl_dataset *d)
     if (head.nphotos && head.nphotos != w.nphotos) { e = orl_fail(ORL_E_FORMAT, "%s: made from %d photos, %s has %d", o->ckpt, head.nphotos, d->dir, w.nphotos); goto done; }
     head.nphotos = w.nphotos;
     fprintf(stderr, "%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, w.nphotos, w.npoints, w.frame.dims[0], w.frame.dims[1], w.frame.dims[2], 1 / w.frame.scale, now() - start);
-    stage1_options o1 = { head.rays, head.steps, head.seed, head.threads };
+    stage1_options o1 = { head.rays, head.steps, head.seed, head.threads, 0 };
     stage2_options o2 = { head.pixels, head.rounds, ROUND_STEPS, head.seed, head.threads };
     if ((e = stage1_init(&s1, &w, &o1))) goto done;
     orl_light_model light;

@@ -22,6 +22,7 @@ typedef struct {
     float *wx, *wy;             /* edge weights to the right and down */
     float *texture;             /* mean step of colour around */
     float *dist;                /* to the nearest SfM point */
+    float *crowd;               /* coarse only: points in the emptiest window that holds the pixel */
     float *cover;               /* 0 open .. 1 SfM points above */
     float *elevation;           /* radians over the horizon */
     float *barrier;             /* highest step on the easiest way to the top of the picture */
@@ -38,7 +39,7 @@ static float sigmoid(float u) { return 1 / (1 + expf(-u)); }
 
 static orl_err level_alloc(level *l, int w, int h)
 {
-    float **plane[] = { &l->ch[0], &l->ch[1], &l->ch[2], &l->wx, &l->wy, &l->texture, &l->dist, &l->cover, &l->elevation, &l->barrier, &l->base, &l->lambda, &l->goal, &l->x };
+    float **plane[] = { &l->ch[0], &l->ch[1], &l->ch[2], &l->wx, &l->wy, &l->texture, &l->dist, &l->crowd, &l->cover, &l->elevation, &l->barrier, &l->base, &l->lambda, &l->goal, &l->x };
     size_t n = (size_t)w * (size_t)h, count = sizeof plane / sizeof *plane;
     *l = (level){ .w = w, .h = h, .unit = (float)(w > h ? w : h) / COARSE };
     l->block = calloc(n, count * sizeof(float) + 1);
@@ -92,6 +93,23 @@ static void box_mean(const float *in, int w, int h, int r, float *tmp, float *ou
     }
 }
 
+/* Least value in a (2 r + 1)^2 window. tmp: a plane; out may be in. */
+static void lowest(const float *in, int w, int h, int r, float *tmp, float *out)
+{
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            float m = in[y * w + x];
+            for (int k = x - r < 0 ? 0 : x - r; k <= x + r && k < w; k++) m = minf(m, in[y * w + k]);
+            tmp[y * w + x] = m;
+        }
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            float m = tmp[y * w + x];
+            for (int k = y - r < 0 ? 0 : y - r; k <= y + r && k < h; k++) m = minf(m, tmp[k * w + x]);
+            out[y * w + x] = m;
+        }
+}
+
 static void find_texture(level *l)
 {
     int w = l->w, h = l->h;
@@ -102,32 +120,14 @@ static void find_texture(level *l)
         }
     int r = l->unit > 1.25f ? (int)(2 * l->unit + 0.5f) : 2;
     box_mean(l->goal, w, h, r, l->lambda, l->base);
-    /* The smoothest of the windows that hold the pixel, so that sky beside an edge stays smooth. */
-    for (int y = 0; y < h; y++)
-        for (int x = 0; x < w; x++) {
-            float m = l->base[y * w + x];
-            for (int k = -r; k <= r; k++) if (x + k >= 0 && x + k < w) m = minf(m, l->base[y * w + x + k]);
-            l->lambda[y * w + x] = m;
-        }
-    for (int y = 0; y < h; y++)
-        for (int x = 0; x < w; x++) {
-            float m = l->lambda[y * w + x];
-            for (int k = -r; k <= r; k++) if (y + k >= 0 && y + k < h) m = minf(m, l->lambda[(y + k) * w + x]);
-            l->texture[y * w + x] = m;
-        }
+    lowest(l->base, w, h, r, l->lambda, l->texture);    /* the smoothest window that holds the pixel, so that sky beside an edge stays smooth */
 }
 
-/* Chamfer distance (3-4) to the points. */
-static void find_distance(level *l, const float (*pt)[2], size_t n, float sx, float sy)
+/* Chamfer distance (3-4) to where d is 0; the rest of d is large on entry. */
+static void chamfer(const level *l, float *d)
 {
     int w = l->w, h = l->h;
     const float one = 1 / l->unit, diagonal = one * 4 / 3;
-    float *d = l->dist;
-    for (int i = 0; i < w * h; i++) d[i] = 1e6f;
-    for (size_t k = 0; k < n; k++) {
-        float u = pt[k][0] * sx, v = pt[k][1] * sy;
-        if (u < (float)w && v < (float)h) d[(int)v * w + (int)u] = 0;
-    }
     for (int y = 0; y < h; y++)
         for (int x = 0, i = y * w; x < w; x++, i++) {
             if (x) d[i] = minf(d[i], d[i - 1] + one);
@@ -142,6 +142,24 @@ static void find_distance(level *l, const float (*pt)[2], size_t n, float sx, fl
             if (y + 1 < h && x + 1 < w) d[i] = minf(d[i], d[i + w + 1] + diagonal);
             if (y + 1 < h && x) d[i] = minf(d[i], d[i + w - 1] + diagonal);
         }
+}
+
+static void find_distance(level *l, const float (*pt)[2], size_t n, float sx, float sy)
+{
+    for (int i = 0; i < l->w * l->h; i++) l->dist[i] = 1e6f;
+    for (size_t k = 0; k < n; k++) {
+        float u = pt[k][0] * sx, v = pt[k][1] * sy;
+        if (u < (float)l->w && v < (float)l->h) l->dist[(int)v * l->w + (int)u] = 0;
+    }
+    chamfer(l, l->dist);
+}
+
+static void find_crowd(level *l)
+{
+    int n = l->w * l->h, r = (int)(16 * l->unit + 0.5f);
+    for (int i = 0; i < n; i++) l->goal[i] = (float)((2 * r + 1) * (2 * r + 1)) * (l->dist[i] == 0);
+    box_mean(l->goal, l->w, l->h, r, l->lambda, l->crowd);
+    lowest(l->crowd, l->w, l->h, r, l->lambda, l->crowd);
 }
 
 /* Elevation of each pixel's ray (fixed where no horizon is known), and how many SfM points stand above it (towards the zenith, in a strip): n / (n + 3). */
@@ -351,12 +369,12 @@ static void find_rim(level *l, float *rim)
 }
 
 /* Parts of sky (x > 1/2, 4-connected) apart from the largest one must share its colours, or they are unknown: dome panels, panes, bright walls.
- * So is a part as rough as the scene, and all of it where the largest part is tiny, or is all there is above the horizon. */
+ * So is a part as rough as the scene or studded with points away from its rim, and all of it where the largest part is tiny, or is all there is above the horizon. */
 static orl_err question_parts(level *l, const colours *c, float *hist)
 {
     int w = l->w, n = w * l->h, parts = 0, best = -1, most = 0;
     int *label = malloc((size_t)n * sizeof *label), *stack = malloc((size_t)n * sizeof *stack);
-    float *shared = NULL, *size, *rough;
+    float *shared = NULL, *size, *rough, *deep, *hit, *inside = l->goal, outside = 0, met = 0;
     orl_err e = ORL_E_MEMORY;
     if (!label || !stack) goto done;
     for (int i = 0; i < n; i++) label[i] = l->x[i] > 0.5f ? -1 : -2;
@@ -379,19 +397,30 @@ static orl_err question_parts(level *l, const colours *c, float *hist)
     memset(hist, 0, CELLS * sizeof *hist);
     for (int i = 0; i < n; i++) if (label[i] == best && best >= 0) hist[colours_cell(c, l, i)] += 1;
     for (int pass = 0; pass < 2; pass++) smooth_cells(hist);
-    shared = calloc((size_t)parts + 1, 3 * sizeof *shared);
+    shared = calloc((size_t)parts + 1, 5 * sizeof *shared);
     if (!shared) goto done;
     size = shared + parts;
     rough = size + parts;
+    deep = rough + parts;
+    hit = deep + parts;
+    for (int i = 0; i < n; i++) inside[i] = label[i] < 0 ? 0 : 1e6f;
+    chamfer(l, inside);
     for (int i = 0; i < n; i++) {
-        if (label[i] < 0) continue;
+        if (label[i] < 0) {
+            outside += l->elevation[i] > 0;
+            met += l->elevation[i] > 0 && l->dist[i] == 0;
+            continue;
+        }
+        if (inside[i] > 4) { deep[label[i]] += 1; hit[label[i]] += l->dist[i] == 0; }
         size[label[i]] += 1;
         rough[label[i]] += l->texture[i] / l->scene;
         shared[label[i]] += hist[colours_cell(c, l, i)] > 2.0f * (float)most / CELLS;
     }
     for (int i = 0; i < n; i++) {
         int k = label[i];
-        if (k >= 0 && (nothing || rough[k] > 0.75f * size[k] || (size[k] < 0.15f * (float)most && shared[k] < 0.5f * size[k]))) l->x[i] = 0.5f;
+        if (k < 0) continue;
+        int studded = hit[k] > 4 && hit[k] * outside > 0.1f * met * deep[k];
+        if (nothing || studded || rough[k] > 0.75f * size[k] || (size[k] < 0.15f * (float)most && shared[k] < 0.5f * size[k])) l->x[i] = 0.5f;
     }
     e = ORL_OK;
 done:
@@ -427,7 +456,7 @@ static void colours_learn(colours *c, level *l, float *sky, float *scene)
 static void combine(level *l, const colours *c)
 {
     for (int i = 0; i < l->w * l->h; i++) {
-        float near = c ? expf(-l->dist[i] / 2) : 3 * expf(-l->dist[i] / 4);     /* before colour is known, keep well away from points */
+        float near = c ? expf(-l->dist[i] / 2) : 3 * expf(-l->dist[i] / 4) + 3 * l->crowd[i] / (l->crowd[i] + 1);     /* before colour is known, keep well away from points */
         float colour = c ? c->ratio[colours_cell(c, l, i)] : 0, u = l->base[i] - near + colour;
         l->goal[i] = sigmoid(u);
         l->lambda[i] = 0.002f + 0.15f * fabsf(2 * l->goal[i] - 1);
@@ -524,6 +553,7 @@ static orl_err level_make(level *l, const orl_image *photo, int side, const leve
             orl_camera c = orl_camera_resized(cam, w, h);
             find_up(l, &c, up, horizon, pt, n, sx, sy);
             find_barrier(l);
+            find_crowd(l);
         }
         l->scene = scene_texture(l, l->goal);
         weigh(l);

@@ -29,7 +29,7 @@ orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt)
     memset(s, 0, sizeof *s);
     s->w = w;
     s->opt = *opt;
-    s->fade = 1;
+    s->heuristics = 1;
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < SDF_LEVELS; l++) e = grid_init(&s->sdf[l], w->frame.dims, SDF_CELL[l], 1, opt->threads);
     for (int l = 0; !e && l < FEAT_LEVELS; l++) e = grid_init(&s->feat[l], w->frame.dims, FEAT_CELL[l], FEAT, opt->threads);
@@ -101,6 +101,7 @@ static schedule schedule_at(const stage1 *s)
     for (int a = 0; a < 3; a++) longest = s->w->frame.dims[a] > longest ? s->w->frame.dims[a] : longest;
     float wide = 1.2f * fmaxf(1.0f, (float)longest / 256);     /* what the first SDF may be off by, whatever the cell */
     c.sigma = wide * expf(logf(0.4f / wide) * u);
+    if (s->opt.sigma > 0) c.sigma = s->opt.sigma;
     c.band = 5.0f * c.sigma;
     c.delta = fmaxf(0.9f * c.sigma, 0.5f);
     c.lr = expf(logf(0.08f) * t);
@@ -337,7 +338,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         for (int a = 0; a < 3; a++) dist += (q->x[a] - o[a]) * d[a];
         /* Near a camera few others look on and floaters grow: gradients fade there (Philip & Deschaintre 2023). */
         float near = dist < p->near ? dist * dist / (p->near * p->near) : 1;
-        if (!s->fade) near = 1;
+        if (!s->heuristics) near = 1;
         if (!sky && q->weight >= 1e-3f) {
             v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
             for (int a = 0; a < 8; a++) g += m[a];
@@ -358,7 +359,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         L->eikonal += (norm - 1) * (norm - 1);
         L->total += LAMBDA_EIKONAL * (norm - 1) * (norm - 1);
         float dg[3] = { ek * q->p.grad[0], ek * q->p.grad[1], ek * q->p.grad[2] };
-        if (q->weight > 0.15f) {                /* normals vary slowly: compare with a point about a cell aside */
+        if (s->heuristics && q->weight > 0.15f) {                /* normals vary slowly: compare with a point about a cell aside */
             float step = c->finest == 0 ? 1.5f : c->finest == 1 ? 2.5f : 5.0f;
             float y[3];
             for (int a = 0; a < 3; a++) y[a] = q->x[a] + step * (2 * rng_f(r) - 1);

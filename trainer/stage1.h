@@ -11,6 +11,7 @@ typedef struct {
     int steps;
     uint64_t seed;
     int threads;
+    float sigma;                    /* width of the logistic, fine cells; 0: by schedule */
 } stage1_options;
 
 /* Losses of one step, means over its rays (for progress lines). */
@@ -19,7 +20,7 @@ typedef struct { double photo, sky, eikonal, points, mse, transient; double samp
 typedef struct {
     const world *w;
     stage1_options opt;
-    int step, fade;                 /* fade: gradients fade near the cameras (off in gradient tests) */
+    int step, heuristics;           /* fading near cameras and weight-scaled smoothness are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
     grid hull;                      /* the first SDF, kept: what SfM and sky have carved stays free */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */

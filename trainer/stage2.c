@@ -261,7 +261,7 @@ static void grad_photos(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) d[a] *= scale;
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
                 if (!q->surface) continue;
-                for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a];     /* back into range: the scene file clamps vertices, not sums */
+                for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a] + 1e-3f * (o.albedo[a] - 0.4f);  /* back into range (the scene file clamps vertices, not sums); stone is seldom white */
                 v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
                 for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da);
                 v8 dp[1];
