@@ -52,7 +52,7 @@ $B/oriel-train: $B/obj/trainer/main.o $B/libtrainer.a $B/liboriel.a
 $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
 	@mkdir -p $(@D)
 	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS)
-$B/tools/%: $B/obj/tests/tools/%.o $B/liboriel.a
+$B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a) $B/liboriel.a
 	@mkdir -p $(@D)
 	$(CC) $(LINK) -o $@ $^ $(LIBS)
 $B/obj/%.o: %.c

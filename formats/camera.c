@@ -162,9 +162,13 @@ orl_err orl_posefile_read(const char *path, orl_view_pose *out, int cap, int *co
     while (!e && n < cap && fgets(line, sizeof line, f)) {
         row++;
         char name[128], model[32];
-        int w, h, used;
+        int used, cut = !strchr(line, '\n') && !feof(f);
+        long long w, h;
+        for (int ch = 0; cut && ch != EOF && ch != '\n';) ch = getc(f);
         if (line[strspn(line, " \t\r\n")] == 0 || line[strspn(line, " \t")] == '#') continue;
-        if (sscanf(line, "%127s %31s %d %d%n", name, model, &w, &h, &used) != 4) { e = orl_fail(ORL_E_FORMAT, "%s:%d: expected NAME MODEL WIDTH HEIGHT", path, row); break; }
+        if (cut) { e = orl_fail(ORL_E_FORMAT, "%s:%d: line is too long", path, row); break; }
+        if (strcspn(line + strspn(line, " \t"), " \t\r\n") >= sizeof name) { e = orl_fail(ORL_E_FORMAT, "%s:%d: name is too long", path, row); break; }
+        if (sscanf(line, "%127s %31s %lld %lld%n", name, model, &w, &h, &used) != 4) { e = orl_fail(ORL_E_FORMAT, "%s:%d: expected NAME MODEL WIDTH HEIGHT", path, row); break; }
         int m = orl_camera_model_from_name(model), np = orl_camera_param_count(m);
         if (m < 0) { e = orl_fail(ORL_E_UNSUPPORTED, "%s:%d: camera model %s is not supported", path, row, model); break; }
         double v[15];
@@ -177,9 +181,14 @@ orl_err orl_posefile_read(const char *path, orl_view_pose *out, int cap, int *co
         orl_view_pose o;
         memset(&o, 0, sizeof o);
         memcpy(o.name, name, sizeof o.name);
-        if (!e) e = orl_camera_from_params(&o.cam, m, w, h, v, np);
+        p += strspn(p, " \t\r\n");
+        if (!e && *p && *p != '#') e = orl_fail(ORL_E_FORMAT, "%s:%d: more than %d values", path, row, np + 7);
+        if (e) break;
+        /* a side that is no int becomes 0, which no camera accepts */
+        e = orl_camera_from_params(&o.cam, m, w == (int)w ? (int)w : 0, h == (int)h ? (int)h : 0, v, np);
         if (!e) e = orl_pose_from_quat(&o.pose, v + np, v + np + 4);
-        if (!e) out[n++] = o;
+        if (e) { char why[256]; snprintf(why, sizeof why, "%s", orl_error_text()); orl_fail(e, "%s:%d: %s", path, row, why); }
+        else out[n++] = o;
     }
     fclose(f);
     if (!e && n == 0) e = orl_fail(ORL_E_FORMAT, "%s: no pose in it", path);

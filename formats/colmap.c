@@ -78,6 +78,17 @@ static double word_num(cursor *c, char **s, const char *field)
     return v;
 }
 
+/* Whole number of a text field in 0..max. */
+static uint32_t word_int(cursor *c, char **s, uint32_t max, const char *field)
+{
+    double v = word_num(c, s, field);
+    if (!(v >= 0 && v <= max)) { spoil(c, field); return 0; }
+    return (uint32_t)v;
+}
+
+/* Image side as an int; what does not fit becomes 65536, which no camera accepts. */
+static int side(uint64_t v) { return v > 65536 ? 65536 : (int)v; }
+
 static orl_err open_part(cursor *c, const char *dir, const char *part, int *found)
 {
     struct stat st;
@@ -125,7 +136,11 @@ static orl_err read_cameras(cursor *c, warn_fn warn, void *user, raw_camera **ou
         if (c->text) {
             char name[32];
             int used = 0;
-            if (sscanf(line, "%" SCNu32 " %31s %d %d%n", &r.id, name, &w, &h, &used) != 4) { spoil(c, "camera line"); break; }
+            long long tw, th;
+            r.id = word_int(c, &line, UINT32_MAX, "camera id");
+            if (sscanf(line, "%31s %lld %lld%n", name, &tw, &th, &used) != 3) { spoil(c, "camera line"); break; }
+            w = side((uint64_t)tw);
+            h = side((uint64_t)th);
             model = orl_camera_model_from_name(name);
             np = orl_camera_param_count(model);
             line += used;
@@ -134,15 +149,15 @@ static orl_err read_cameras(cursor *c, warn_fn warn, void *user, raw_camera **ou
         } else {
             r.id = (uint32_t)get(c, 4, "camera id");
             model = (int)get(c, 4, "camera model");
-            uint64_t bw = get(c, 8, "camera width"), bh = get(c, 8, "camera height");
-            w = bw > 65536 ? 65536 : (int)bw;
-            h = bh > 65536 ? 65536 : (int)bh;
+            w = side(get(c, 8, "camera width"));
+            h = side(get(c, 8, "camera height"));
             np = orl_camera_param_count(model);
             if (!c->bad && np < 0) { free(v); return orl_fail(ORL_E_UNSUPPORTED, "%s: camera %" PRIu32 ": model %d is not supported", c->path, r.id, model); }
             for (int i = 0; i < np; i++) p[i] = get_f64(c, "camera parameter");
         }
         if (c->bad) break;
         r.keep = orl_camera_from_params(&r.cam, model, w, h, p, np) == ORL_OK;
+        for (size_t i = 0; i < n; i++) if (v[i].id == r.id) { free(v); return orl_fail(ORL_E_FORMAT, "%s: camera %" PRIu32 " is there twice", c->path, r.id); }
         if (!r.keep) say(warn, user, "%s: camera %" PRIu32 " is left out: %s", c->path, r.id, orl_error_text());
         raw_camera *q = grow(v, n, &cap, sizeof *v);
         if (!q) { free(v); return orl_fail(ORL_E_MEMORY, "%s: no memory", c->path); }
@@ -180,7 +195,7 @@ static orl_err read_points(cursor *c, raw_point **out, size_t *count)
         if (c->text) {
             r.id = strtoull(line, &line, 10);
             for (int a = 0; a < 3; a++) r.p.xyz[a] = word_num(c, &line, "point position");
-            for (int a = 0; a < 3; a++) r.p.rgb[a] = (uint8_t)word_num(c, &line, "point colour");
+            for (int a = 0; a < 3; a++) r.p.rgb[a] = (uint8_t)word_int(c, &line, 255, "point colour");
             r.p.error_px = (float)word_num(c, &line, "point error");
             for (char *e; strtol(line, &e, 10), e != line; line = e) r.p.track_length++;
             r.p.track_length /= 2;
@@ -203,6 +218,7 @@ static orl_err read_points(cursor *c, raw_point **out, size_t *count)
     }
     if (c->bad) { free(v); return cursor_error(c); }
     if (n) qsort(v, n, sizeof *v, by_raw_point);
+    for (size_t i = 1; i < n; i++) if (v[i].id == v[i - 1].id) { orl_err e = orl_fail(ORL_E_FORMAT, "%s: point %" PRIu64 " is there twice", c->path, v[i].id); free(v); return e; }
     *out = v;
     *count = n;
     return ORL_OK;
@@ -222,7 +238,7 @@ static int add_obs(image_list *l, float x, float y, int point)
     orl_colmap_obs *o = grow(l->obs, l->nobs, &l->obs_cap, sizeof *o);
     if (!o) return 0;
     l->obs = o;
-    l->obs[l->nobs++] = (orl_colmap_obs){ x, y, point };
+    l->obs[l->nobs++] = isfinite(x) && isfinite(y) ? (orl_colmap_obs){ x, y, point } : (orl_colmap_obs){ 0, 0, -1 };
     return 1;
 }
 
@@ -237,17 +253,17 @@ static orl_err read_images(cursor *c, const raw_camera *cams, size_t ncams, cons
         memset(&im, 0, sizeof im);
         size_t obs0 = l->nobs;
         if (c->text) {
-            im.id = (uint32_t)strtoul(line, &line, 10);
+            im.id = word_int(c, &line, UINT32_MAX, "image id");
             for (int i = 0; i < 4; i++) q[i] = word_num(c, &line, "image quaternion");
             for (int i = 0; i < 3; i++) t[i] = word_num(c, &line, "image translation");
-            cam_id = (uint32_t)word_num(c, &line, "image camera");
+            cam_id = word_int(c, &line, UINT32_MAX, "image camera");
             line += strspn(line, " \t");
-            if (strlen(line) >= sizeof im.name || !*line) { spoil(c, "image name"); break; }
+            if (c->bad || strlen(line) >= sizeof im.name || !*line) { spoil(c, "image name"); break; }
             snprintf(im.name, sizeof im.name, "%.255s", line);
             char *pts = next_line(c, 1);
             for (char *e; pts; pts = e) {
                 float x = strtof(pts, &e);
-                if (e == pts) break;
+                if (e == pts) { if (pts[strspn(pts, " \t")]) spoil(c, "image observation"); break; }
                 float y = strtof(e, &pts);
                 if (pts == e) { spoil(c, "image observation"); break; }
                 long long id = strtoll(pts, &e, 10);
@@ -266,6 +282,7 @@ static orl_err read_images(cursor *c, const raw_camera *cams, size_t ncams, cons
                 if (k + 1 >= sizeof im.name) { spoil(c, "image name"); break; }
                 im.name[k++] = ch;
             }
+            if (!k) spoil(c, "image name");
             uint64_t n = get_count(c, 8, 24, "observation count");
             for (uint64_t i = 0; i < n && !c->bad; i++) {
                 float x = (float)get_f64(c, "observation"), y = (float)get_f64(c, "observation");
@@ -316,6 +333,8 @@ orl_err orl_colmap_read(const char *dir, warn_fn warn, void *user, orl_colmap *o
     if (!e && !(ids = malloc((npts + 1) * sizeof *ids))) e = orl_fail(ORL_E_MEMORY, "%s: no memory", dir);
     for (size_t i = 0; !e && i < npts; i++) ids[i] = (point_id){ pts[i].id, (uint32_t)i };
     if (!e) e = read_images(&ci, cams, ncams, ids, npts, warn, user, &l);
+    if (!e && l.n) qsort(l.im, l.n, sizeof *l.im, by_name);
+    for (size_t i = 1; !e && i < l.n; i++) if (!strcmp(l.im[i].name, l.im[i - 1].name)) e = orl_fail(ORL_E_FORMAT, "%s: image %s is there twice", ci.path, l.im[i].name);
     if (!e) {
         m.cameras = calloc(ncams + 1, sizeof *m.cameras);
         m.points = calloc(npts + 1, sizeof *m.points);
@@ -324,7 +343,6 @@ orl_err orl_colmap_read(const char *dir, warn_fn warn, void *user, orl_colmap *o
     if (!e) {
         for (size_t i = 0; i < ncams; i++) m.cameras[i] = cams[i].cam;
         for (size_t i = 0; i < npts; i++) m.points[i] = pts[i].p;
-        if (l.n) qsort(l.im, l.n, sizeof *l.im, by_name);
         m.ncameras = (uint32_t)ncams;
         m.npoints = (uint32_t)npts;
         m.images = l.im;

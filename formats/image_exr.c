@@ -36,6 +36,40 @@ static int name_count(const char *names)
     return n;
 }
 
+static float from_half(uint32_t h)
+{
+    uint32_t sign = (h & 0x8000) << 16, e = h >> 10 & 31, m = h & 1023, b = sign | (e == 31 ? 255 : e + 112) << 23 | m << 13;
+    float v;
+    if (!e) return sign ? -(float)m * 0x1p-24f : (float)m * 0x1p-24f;
+    memcpy(&v, &b, 4);
+    return v;
+}
+
+/* One chunk's bytes (lines; in each the channels one after another) to the channels wanted, whose first pixel is at out. The library's own unpacking is passed by: 3.1 writes
+ * through null pointers where a channel is not wanted, and turns RGBA round. */
+static int unpack(const exr_decode_pipeline_t *d, const char *names, int c, int w, float *out)
+{
+    const uint8_t *p = d->unpacked_buffer, *end = p + d->chunk.unpacked_size;
+    for (int y = 0; y < d->chunk.height; y++, out += (size_t)w * (size_t)c)
+        for (int k = 0; k < d->channel_count; k++) {
+            const exr_coding_channel_info_t *ch = &d->channels[k];
+            int at = wanted(names, ch->channel_name);
+            int64_t size = (int64_t)ch->width * ch->bytes_per_element;
+            if (ch->y_samples > 1 && (d->chunk.start_y + y) % ch->y_samples) continue;
+            if (size > end - p) return 0;
+            for (int x = 0; at >= 0 && x < w; x++) {
+                uint16_t h;
+                uint32_t u;
+                float *o = out + (size_t)x * (size_t)c + at;
+                if (ch->data_type == EXR_PIXEL_HALF) { memcpy(&h, p + 2 * (size_t)x, 2); *o = from_half(h); }
+                else if (ch->data_type == EXR_PIXEL_FLOAT) memcpy(o, p + 4 * (size_t)x, 4);
+                else { memcpy(&u, p + 4 * (size_t)x, 4); *o = (float)u; }
+            }
+            p += size;
+        }
+    return 1;
+}
+
 orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
 {
     exr_context_t f = NULL;
@@ -45,7 +79,9 @@ orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
     int32_t lines = 1;
     orl_imagef o = { 0 };
     init.error_handler_fn = quiet;
-    if (exr_start_read(&f, path, &init)) return orl_fail(ORL_E_FORMAT, "%s: not an OpenEXR file that can be read", path);
+    exr_result_t opened = exr_start_read(&f, path, &init);
+    if (opened == EXR_ERR_FILE_ACCESS) return orl_fail(ORL_E_IO, "%s: cannot be opened", path);
+    if (opened) return orl_fail(ORL_E_FORMAT, "%s: not an OpenEXR file that can be read", path);
     orl_err e = ORL_OK;
     int c = name_count(names), have = 0;
     if (exr_get_storage(f, 0, &kind) || kind != EXR_STORAGE_SCANLINE) e = orl_fail(ORL_E_UNSUPPORTED, "%s: only scan-line files are read", path);
@@ -64,20 +100,16 @@ orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
         have = 0;
         for (int k = 0; !bad && k < d.channel_count; k++) {
             exr_coding_channel_info_t *ch = &d.channels[k];
-            int at = wanted(names, ch->channel_name);
             ch->decode_to_ptr = NULL;
-            if (at < 0 || ch->x_samples != 1 || ch->y_samples != 1) continue;
+            if (wanted(names, ch->channel_name) < 0) continue;
+            if (ch->x_samples != 1 || ch->y_samples != 1 || ch->width != o.w) have = -c;    /* thinned out: not what was asked for */
             have++;
-            ch->decode_to_ptr = (uint8_t *)(o.px + (size_t)y * (size_t)o.w * (size_t)c + (size_t)at);
-            ch->user_pixel_stride = 4 * c;
-            ch->user_line_stride = 4 * c * o.w;
-            ch->user_bytes_per_element = 4;
-            ch->user_data_type = EXR_PIXEL_FLOAT;
         }
         if (!bad && have != c) e = orl_fail(ORL_E_FORMAT, "%s: channels %s are not all there", path, names);
         if (!bad && !e && !ready) bad = exr_decoding_choose_default_routines(f, 0, &d) != EXR_ERR_SUCCESS;
         ready = 1;
-        if (!e && (bad || exr_decoding_run(f, 0, &d) != EXR_ERR_SUCCESS)) e = orl_fail(ORL_E_FORMAT, "%s: line %d does not decode", path, y);
+        d.unpack_and_convert_fn = NULL;
+        if (!e && (bad || exr_decoding_run(f, 0, &d) != EXR_ERR_SUCCESS || !unpack(&d, names, c, o.w, o.px + (size_t)y * (size_t)o.w * (size_t)c))) e = orl_fail(ORL_E_FORMAT, "%s: line %d does not decode", path, y);
     }
     if (ready) exr_decoding_destroy(f, &d);
     exr_finish(&f);
@@ -106,7 +138,7 @@ orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
     }
     if (c != im->c) return orl_fail(ORL_E_RANGE, "%s: %d channel names for %d channels", path, c, im->c);
     qsort(ch, (size_t)c, sizeof *ch, by_channel);   /* files list channels by name */
-    snprintf(tmp, sizeof tmp, "%s.tmp%ld", path, (long)getpid());
+    if (snprintf(tmp, sizeof tmp, "%s.tmp%ld", path, (long)getpid()) >= (int)sizeof tmp) return orl_fail(ORL_E_RANGE, "%s: path is too long", path);
     exr_context_t f = NULL;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = quiet;

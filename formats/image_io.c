@@ -48,15 +48,16 @@ orl_err orl_image_write(const char *path, const orl_image *im)
 
 const char *orl_image_formats(void)
 {
-    return ""
+    static const char list[] = ""               /* each with a comma before it; the first is left away */
 #ifdef ORL_HAVE_PNG
-           "png "
+                               ",png"
 #endif
 #ifdef ORL_HAVE_JPEG
-           "jpeg "
+                               ",jpeg"
 #endif
 #ifdef ORL_HAVE_EXR
-           "exr "
+                               ",exr"
 #endif
         ;
+    return list + (list[0] == ',');
 }

@@ -5,19 +5,37 @@
 #ifdef ORL_HAVE_PNG
 #include <png.h>
 
+/* Whether the chunks reach IEND: the simplified reader stops behind the last pixel and would take a file that is cut there. */
+static int has_end(const uint8_t *b, size_t n)
+{
+    for (size_t i = 8; n - i >= 12;) {
+        size_t len = (size_t)b[i] << 24 | (size_t)b[i + 1] << 16 | (size_t)b[i + 2] << 8 | b[i + 3];
+        if (len > n - i - 12) break;
+        if (!memcmp(b + i + 4, "IEND", 4)) return 1;
+        i += 12 + len;
+    }
+    return 0;
+}
+
 orl_err codec_png_read(const char *path, const uint8_t *bytes, size_t n, int c, orl_image *out)
 {
     png_image im = { .version = PNG_IMAGE_VERSION };
     orl_image o = { 0 };
     if (!png_image_begin_read_from_memory(&im, bytes, n)) return orl_fail(ORL_E_FORMAT, "%s: %s", path, im.message);
     orl_err e = ORL_OK;
-    im.format = c == 1 ? PNG_FORMAT_GRAY : PNG_FORMAT_RGB;
+    im.format = PNG_FORMAT_RGB;
     if (im.width > ORL_IMAGE_MAX_SIDE || im.height > ORL_IMAGE_MAX_SIDE) e = orl_fail(ORL_E_RANGE, "%s: %u x %u pixels", path, im.width, im.height);
-    if (!e) e = orl_image_alloc(&o, (int)im.width, (int)im.height, c);
+    if (!e) e = orl_image_alloc(&o, (int)im.width, (int)im.height, 3);
     png_color black = { 0, 0, 0 };
     if (!e && (!png_image_finish_read(&im, &black, o.px, 0, NULL))) e = orl_fail(ORL_E_FORMAT, "%s: %s", path, im.message);
+    if (!e && !has_end(bytes, n)) e = orl_fail(ORL_E_FORMAT, "%s: cut short", path);
     png_image_free(&im);
     if (e) { orl_image_free(&o); return e; }
+    if (c == 1) {                               /* JPEG's grey; libpng's own turns dark colours black */
+        size_t pixels = (size_t)o.w * (size_t)o.h;
+        for (size_t i = 0; i < pixels; i++) o.px[i] = (uint8_t)((299 * o.px[3 * i] + 587 * o.px[3 * i + 1] + 114 * o.px[3 * i + 2] + 500) / 1000);
+        o.c = 1;
+    }
     *out = o;
     return ORL_OK;
 }

@@ -24,61 +24,108 @@ static void say(warn_fn warn, void *user, const char *fmt, ...)
     if (warn) warn(user, line);
 }
 
-/* split.tsv (or NeRF-W's file): columns found by their heading. Returns 1 test, 0 train, -1 not listed. */
-typedef struct { char *text; } split;
+/* split.tsv (or NeRF-W's file): columns found by their heading. */
+typedef struct { char *text; int name, split; } split;
 
+enum { FIELDS = 8 };
+
+/* Cuts the line at *p into fields and steps behind it; 0 at the end. */
+static int next_row(const char **p, const char **f, size_t *fl)
+{
+    const char *line = *p, *end = line + strcspn(line, "\n");
+    int n = 0;
+    if (!*line) return 0;
+    for (const char *q = line; n < FIELDS && q <= end; q += fl[n++] + 1) {
+        f[n] = q;
+        fl[n] = strcspn(q, "\t\r\n");
+    }
+    *p = end + (*end == '\n');
+    return n;
+}
+
+static int is(const char *f, size_t n, const char *word) { return n == strlen(word) && !memcmp(f, word, n); }
+
+/* Finds the columns; 0 if a heading lacks. */
+static int split_columns(split *s)
+{
+    const char *p = s->text, *f[FIELDS];
+    size_t fl[FIELDS];
+    s->name = s->split = -1;
+    for (int i = next_row(&p, f, fl); i--;) {
+        if (is(f[i], fl[i], "filename")) s->name = i;
+        if (is(f[i], fl[i], "split")) s->split = i;
+    }
+    return s->name >= 0 && s->split >= 0;
+}
+
+/* Returns 1 test, 0 train, -1 not listed, -2 neither (NeRF-W leaves the split of photos empty that it does not use). */
 static int split_of(const split *s, const char *name)
 {
     if (!s->text) return 0;
-    int col_name = 0, col_split = 2, row = 0;
-    for (const char *p = s->text; *p; row++) {
-        const char *e = strchr(p, '\n');
-        size_t len = e ? (size_t)(e - p) : strlen(p);
-        const char *f[8];
-        size_t fl[8];
-        int n = 0;
-        for (const char *q = p; n < 8 && q <= p + len;) {
-            size_t k = strcspn(q, "\t\r\n");
-            if (k > (size_t)(p + len - q)) k = (size_t)(p + len - q);
-            f[n] = q;
-            fl[n++] = k;
-            q += k + 1;
-        }
-        if (row == 0) {
-            for (int i = 0; i < n; i++) {
-                if (fl[i] == 8 && !strncmp(f[i], "filename", 8)) col_name = i;
-                if (fl[i] == 5 && !strncmp(f[i], "split", 5)) col_split = i;
-            }
-        } else if (n > col_name && n > col_split && fl[col_name] == strlen(name) && !strncmp(f[col_name], name, fl[col_name])) {
-            return fl[col_split] == 4 && !strncmp(f[col_split], "test", 4);
-        }
-        if (!e) break;
-        p = e + 1;
-    }
+    const char *p = s->text, *f[FIELDS];
+    size_t fl[FIELDS];
+    next_row(&p, f, fl);
+    for (int n; (n = next_row(&p, f, fl));)
+        if (n > s->name && n > s->split && is(f[s->name], fl[s->name], name)) return is(f[s->split], fl[s->split], "test") ? 1 : is(f[s->split], fl[s->split], "train") ? 0 : -2;
     return -1;
 }
 
-/* First *.tsv in a folder, split.tsv before others. */
-static void find_tsv(const char *dir, char *out, size_t cap)
+static int is_tsv(const struct dirent *e) { size_t n = strlen(e->d_name); return n > 4 && !strcmp(e->d_name + n - 4, ".tsv"); }
+static int by_tsv(const struct dirent **a, const struct dirent **b)
 {
-    snprintf(out, cap, "%s/split.tsv", dir);
-    if (exists(out)) return;
-    out[0] = 0;
-    DIR *d = opendir(dir);
-    if (!d) return;
-    char best[256] = "";
-    for (struct dirent *e; (e = readdir(d));) {
-        size_t n = strlen(e->d_name);
-        if (n > 4 && n < sizeof best && !strcmp(e->d_name + n - 4, ".tsv") && (!best[0] || strcmp(e->d_name, best) < 0)) snprintf(best, sizeof best, "%.255s", e->d_name);
+    int x = strcmp((*a)->d_name, "split.tsv") != 0, y = strcmp((*b)->d_name, "split.tsv") != 0;
+    return x != y ? x - y : strcmp((*a)->d_name, (*b)->d_name);
+}
+
+/* The first *.tsv of the folder, then of the one above, that names a photo of the model; split.tsv comes before others. The folder's own split.tsv must be sound. */
+static orl_err load_split(const char *dir, const orl_colmap *m, warn_fn warn, void *user, split *out)
+{
+    orl_err e = ORL_OK;
+    for (int up = 0; up < 2; up++) {
+        char folder[1100], path[1400];
+        struct dirent **list = NULL;
+        snprintf(folder, sizeof folder, "%s%s", dir, up ? "/.." : "");
+        int n = scandir(folder, &list, is_tsv, by_tsv);
+        for (int i = 0; i < n; i++) {
+            int own = !up && !strcmp(list[i]->d_name, "split.tsv");
+            snprintf(path, sizeof path, "%s/%s", folder, list[i]->d_name);
+            free(list[i]);
+            split s = { 0 };
+            size_t bytes;
+            if (e || out->text) continue;
+            e = orl_file_read(path, 64 << 20, (uint8_t **)&s.text, &bytes);
+            if (!e && !split_columns(&s)) e = orl_fail(ORL_E_FORMAT, "%s: its first line lacks the column `filename` or `split`", path);
+            int listed = 0;
+            for (uint32_t k = 0; !e && !listed && k < m->nimages; k++) listed = split_of(&s, m->images[k].name) != -1;
+            if (own && !e && !listed) say(warn, user, "%s: names no photo of the model, ignored", path);
+            if (listed) *out = s;
+            else free(s.text);
+            if (!own) e = ORL_OK;
+        }
+        free(list);
     }
-    closedir(d);
-    if (best[0]) snprintf(out, cap, "%s/%s", dir, best);
+    return e;
+}
+
+/* A name that would lead out of the folder of photos. */
+static int strays(const char *name)
+{
+    for (const char *s = name; s; s = strchr(s, '/'), s += s != NULL) if (!strncmp(s, "..", 2) && (s[2] == '/' || !s[2])) return 1;
+    return 0;
+}
+
+static int by_image(const void *a, const void *b) { return strcmp(((const orl_colmap_image *)a)->name, ((const orl_colmap_image *)b)->name); }
+static int has_image(const orl_colmap *m, const char *name)
+{
+    orl_colmap_image key;
+    snprintf(key.name, sizeof key.name, "%s", name);
+    return m->nimages && bsearch(&key, m->images, m->nimages, sizeof key, by_image);
 }
 
 static int by_name(const void *a, const void *b) { return strcmp(((const orl_photo *)a)->name, ((const orl_photo *)b)->name); }
 
-/* Folder of the photos, of the model, and of the split, for the layouts that we know. */
-static orl_err find_layout(const char *dir, char *photos, char *sparse, char *tsv, size_t cap)
+/* Folder of the photos and of the model, for the layouts that we know. */
+static orl_err find_layout(const char *dir, char *photos, char *sparse, size_t cap)
 {
     static const char *const BASE[] = { "", "/dense" }, *const PHOTOS[] = { "photos", "images" }, *const SPARSE[] = { "sparse/0", "sparse" };
     char probe[1200];
@@ -94,11 +141,6 @@ static orl_err find_layout(const char *dir, char *photos, char *sparse, char *ts
         }
     if (!photos[0]) return orl_fail(ORL_E_IO, "%s: no photos/ or images/ folder", dir);
     if (!sparse[0]) return orl_fail(ORL_E_IO, "%s: no COLMAP model in sparse/0 or sparse", dir);
-    find_tsv(dir, tsv, cap);
-    if (!tsv[0]) {
-        snprintf(probe, sizeof probe, "%s/..", dir);
-        find_tsv(probe, tsv, cap);              /* NeRF-W's file may lie above; it must name this folder's photos to count */
-    }
     return ORL_OK;
 }
 
@@ -107,15 +149,14 @@ orl_err orl_dataset_open(const char *dir, warn_fn warn, void *user, orl_dataset 
     orl_dataset d = { 0 };
     orl_colmap m = { 0 }, t = { 0 };
     split sp = { 0 };
-    char photos[1024], sparse[1024], tsv[1024], path[2048];
-    size_t bytes;
+    char photos[1024], sparse[1024], path[2048];
     struct stat st;
     char trimmed[1024];
     snprintf(trimmed, sizeof trimmed, "%s", dir);
     while (strlen(trimmed) > 1 && trimmed[strlen(trimmed) - 1] == '/') trimmed[strlen(trimmed) - 1] = 0;
     dir = trimmed;
     if (stat(dir, &st) || !S_ISDIR(st.st_mode)) return orl_fail(ORL_E_IO, "%s: no such folder", dir);
-    orl_err e = find_layout(dir, photos, sparse, tsv, sizeof photos);
+    orl_err e = find_layout(dir, photos, sparse, sizeof photos);
     if (e) return e;
     snprintf(d.dir, sizeof d.dir, "%s", dir);
     const char *slash = strrchr(dir, '/');
@@ -123,16 +164,11 @@ orl_err orl_dataset_open(const char *dir, warn_fn warn, void *user, orl_dataset 
     if ((e = orl_colmap_read(sparse, warn, user, &m))) return e;
     snprintf(path, sizeof path, "%s/sparse_test/0", dir);
     if (exists(path) && (e = orl_colmap_read(path, warn, user, &t))) goto done;
-    if (tsv[0] && (e = orl_file_read(tsv, 64 << 20, (uint8_t **)&sp.text, &bytes))) goto done;
-    if (sp.text) {                              /* a split file of another place does not count */
-        int listed = 0;
-        for (uint32_t i = 0; i < m.nimages; i++) listed += split_of(&sp, m.images[i].name) >= 0;
-        if (!listed) { free(sp.text); sp.text = NULL; }
-    }
+    if ((e = load_split(dir, &m, warn, user, &sp))) goto done;
     d.photos = calloc((size_t)m.nimages + t.nimages + 1, sizeof *d.photos);
     d.obs = calloc((size_t)m.nobs + 1, sizeof *d.obs);
     d.points = calloc((size_t)m.npoints + 1, sizeof *d.points);
-    uint32_t *track = calloc((size_t)m.npoints + 1, sizeof *track), *where = malloc(((size_t)m.npoints + 1) * sizeof *where);
+    uint32_t *track = calloc((size_t)m.npoints + 1, sizeof *track), *where = calloc((size_t)m.npoints + 1, sizeof *where);
     if (!d.photos || !d.obs || !d.points || !track || !where) { free(track); free(where); e = orl_fail(ORL_E_MEMORY, "%s: no memory", dir); goto done; }
     for (int k = 0; k < 2; k++) {
         const orl_colmap *c = k ? &t : &m;
@@ -141,12 +177,14 @@ orl_err orl_dataset_open(const char *dir, warn_fn warn, void *user, orl_dataset 
             orl_photo *p = &d.photos[d.nphotos];
             memset(p, 0, sizeof *p);
             int which = k ? 1 : split_of(&sp, im->name);
+            if (!k && has_image(&t, im->name)) continue;    /* a test camera kept apart: must not train */
+            if (strays(im->name)) { say(warn, user, "%s: leads out of the folder, skipped", im->name); continue; }
             snprintf(p->name, sizeof p->name, "%s", im->name);
             if ((size_t)snprintf(p->path, sizeof p->path, "%s/%s", photos, im->name) >= sizeof p->path || !exists(p->path)) {
                 say(warn, user, "%s: camera without photo, skipped", im->name);
                 continue;
             }
-            if (which < 0) { say(warn, user, "%s: not in the split file, skipped", im->name); continue; }
+            if (which < 0) { say(warn, user, "%s: neither train nor test in the split file, skipped", im->name); continue; }
             p->test = which;
             p->cam = c->cameras[im->camera];
             p->pose = im->pose;
@@ -160,7 +198,10 @@ orl_err orl_dataset_open(const char *dir, warn_fn warn, void *user, orl_dataset 
                 p->obs_count = im->obs_count;
                 for (uint32_t j = 0; j < im->obs_count; j++) {
                     orl_colmap_obs o = c->obs[im->obs_begin + j];
-                    if (o.point >= 0) track[o.point]++;
+                    if (o.point >= 0 && where[o.point] != d.nphotos + 1) {  /* where: the last photo that saw it; a photo may see a point twice */
+                        where[o.point] = d.nphotos + 1;
+                        track[o.point]++;
+                    }
                     d.obs[d.nobs++] = o;
                 }
             }
@@ -180,10 +221,9 @@ orl_err orl_dataset_open(const char *dir, warn_fn warn, void *user, orl_dataset 
     if (d.nphotos) qsort(d.photos, d.nphotos, sizeof *d.photos, by_name);
     DIR *dp = opendir(photos);
     for (struct dirent *en; dp && (en = readdir(dp));) {
-        if (en->d_name[0] == '.') continue;
-        orl_photo key;
-        snprintf(key.name, sizeof key.name, "%s", en->d_name);
-        if (!d.nphotos || !bsearch(&key, d.photos, d.nphotos, sizeof key, by_name)) say(warn, user, "%s: photo without camera, skipped", en->d_name);
+        snprintf(path, sizeof path, "%s/%s", photos, en->d_name);
+        if (en->d_name[0] == '.' || stat(path, &st) || S_ISDIR(st.st_mode)) continue;
+        if (!has_image(&m, en->d_name) && !has_image(&t, en->d_name)) say(warn, user, "%s: photo without camera, skipped", en->d_name);
     }
     if (dp) closedir(dp);
     if (!d.nphotos) e = orl_fail(ORL_E_FORMAT, "%s: no photo has a camera", dir);

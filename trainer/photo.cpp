@@ -14,6 +14,32 @@ static OIIO::ImageBuf with_channels(const OIIO::ImageBuf &in, int channels)
     return OIIO::ImageBufAlgo::channels(in, channels, OIIO::cspan<int>(order, channels));
 }
 
+// By EXIF's orientation, 2 to 8. OpenImageIO 2.4 takes 5 and 7 for each other.
+static OIIO::ImageBuf upright(const OIIO::ImageBuf &in, int orientation)
+{
+    if (orientation != 5 && orientation != 7) return OIIO::ImageBufAlgo::reorient(in);
+    OIIO::ImageBuf t = OIIO::ImageBufAlgo::transpose(in);
+    return orientation == 5 ? t : OIIO::ImageBufAlgo::rotate180(t);
+}
+
+// Whether a JPEG's scans reach the end mark: OpenImageIO fills one that is cut short with grey and says nothing. Other files pass.
+static bool is_whole(const char *path)
+{
+    uint8_t *b;
+    size_t n, i = 2;
+    if (orl_file_read(path, (size_t)1 << 30, &b, &n)) return false;
+    bool jpeg = n >= 3 && b[0] == 0xff && b[1] == 0xd8 && b[2] == 0xff, end = false;
+    while (jpeg && !end && i + 4 <= n + 2) {
+        int m = b[i] == 0xff && i + 1 < n ? b[i + 1] : 0;
+        if (m == 0xd9) end = true;
+        else if (m == 0 || m == 0xff) i++;                         // coded bytes, fill
+        else if (m == 1 || (m >= 0xd0 && m <= 0xd8)) i += 2;       // marks without a length
+        else i += i + 4 <= n ? 2 + (b[i + 2] << 8 | b[i + 3]) : n;
+    }
+    free(b);
+    return !jpeg || end;
+}
+
 static bool open_image(const char *path, int channels, OIIO::TypeDesc type, OIIO::ImageBuf &out, int *turned, orl_err *err)
 {
     OIIO::ImageBuf file(path);
@@ -24,9 +50,10 @@ static bool open_image(const char *path, int channels, OIIO::TypeDesc type, OIIO
         *err = orl_fail(ORL_E_FORMAT, "%s: does not decode: %s", path, why.c_str());
         return false;
     }
+    if (!is_whole(path)) { *err = orl_fail(ORL_E_FORMAT, "%s: does not decode: cut short", path); return false; }
     int orientation = file.orientation();
     if (turned) *turned = orientation >= 5 && orientation <= 8;
-    out = with_channels(orientation > 1 ? OIIO::ImageBufAlgo::reorient(file) : file, channels);
+    out = with_channels(orientation > 1 ? upright(file, orientation) : file, channels);
     if (out.has_error()) { *err = orl_fail(ORL_E_FORMAT, "%s: cannot be converted", path); return false; }
     return true;
 }
