@@ -91,8 +91,9 @@ static void gradients_match_finite_differences(void **state)
         stage1 s;
         make_world(&w);
         assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 100, 7, 1, 4.0f }), ORL_OK);
+        assert_int_equal(stage1_start(&s, &w, NULL), ORL_OK);
         s.heuristics = 0;
-        s.step = transient ? 21 : 0;            /* the transient branch joins at a fifth of the run */
+        s.step = transient ? 6 : 0;             /* the transient branch joins at a twentieth of the run */
         rng r = rng_make(3, 0, 0);
         for (int l = 0; l < FEAT_LEVELS; l++) for (size_t i = 0; i < s.feat[l].nverts * FEAT; i++) s.feat[l].p[i] = 0.2f * rng_normal(&r);
         for (size_t i = 0; i < s.transient.nverts * 8; i++) s.transient.p[i] = 0.5f * rng_normal(&r);
@@ -116,6 +117,7 @@ static void steps_repeat(void **state)
         stage1 s;
         stage1_losses l;
         assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 30, 7, 2, 0 }), ORL_OK);
+        assert_int_equal(stage1_start(&s, &w, NULL), ORL_OK);
         for (int i = 0; i < 30; i++) {
             stage1_step(&s, &l);
             assert_true(isfinite(l.total));

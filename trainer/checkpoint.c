@@ -1,6 +1,8 @@
-/* Checkpoints (checkpoint.h): written to a temporary file, fsync, rename, so that a kill at any moment leaves the last one whole. */
+/* Checkpoints (checkpoint.h): written to a temporary file, fsync, rename, so that a kill at any moment leaves the last one whole. What a kill leaves
+ * of the temporary file, the next checkpoint overwrites. */
 #include "trainer/checkpoint.h"
 #include <errno.h>
+#include <math.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -16,39 +18,94 @@ orl_err stage1_save(const stage1 *s, FILE *f, int moments)
 orl_err stage1_load(stage1 *s, FILE *f, int moments, const char *path)
 {
     orl_err e = fread(&s->step, sizeof s->step, 1, f) == 1 ? ORL_OK : orl_fail(ORL_E_FORMAT, "%s: stage 1 header is cut short", path);
+    if (!e && (s->step < 0 || s->step > s->opt.steps)) e = orl_fail(ORL_E_RANGE, "%s: stage 1 step %d of %d", path, s->step, s->opt.steps);
     for (int l = 0; !e && l < SDF_LEVELS; l++) e = grid_load(&s->sdf[l], f, moments, path);
     for (int l = 0; !e && l < FEAT_LEVELS; l++) e = grid_load(&s->feat[l], f, moments, path);
     if (!e) e = grid_load(&s->codes, f, moments, path);
     return e ? e : grid_load(&s->transient, f, moments, path);
 }
 
-orl_err checkpoint_save(const char *path, const checkpoint_header *h, const stage1 *s1, const surface *surf, const stage2 *s2)
+static orl_err save_sky(const world *w, FILE *f)
+{
+    int bad = 0;
+    for (int k = 0; k < w->nphotos; k++) {
+        size_t n = (size_t)w->photos[k].w * (size_t)w->photos[k].h;
+        bad |= fwrite(w->photos[k].sky, 1, n, f) != n;
+    }
+    return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
+}
+
+orl_err checkpoint_load_sky(world *w, FILE *f, const char *path)
+{
+    for (int k = 0; k < w->nphotos; k++) {
+        size_t n = (size_t)w->photos[k].w * (size_t)w->photos[k].h;
+        if (fread(w->photos[k].sky, 1, n, f) != n) return orl_fail(ORL_E_FORMAT, "%s: sky labels of photo %d are cut short", path, k);
+    }
+    return ORL_OK;
+}
+
+orl_err checkpoint_save(const char *path, const checkpoint_header *h, const checkpoint_parts *p)
 {
     char tmp[1100];
-    snprintf(tmp, sizeof tmp, "%s.tmp%ld", path, (long)getpid());
+    snprintf(tmp, sizeof tmp, "%s.tmp", path);
     FILE *f = fopen(tmp, "wb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
     checkpoint_header head = *h;
-    memcpy(head.magic, "ORLCKPT1", 8);
-    orl_err e = fwrite(&head, sizeof head, 1, f) == 1 ? ORL_OK : orl_fail(ORL_E_IO, "%s: write failed", tmp);
-    if (!e && h->phase >= 2) e = surface_save(surf, f);
-    if (!e && h->phase >= 2) e = stage2_save(s2, f, h->phase == 2);
-    if (!e) e = stage1_save(s1, f, h->phase == 1);
-    if (!e && (fflush(f) || fsync(fileno(f)))) e = orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
+    memcpy(head.magic, "ORLCKPT2", 8);
+    orl_err e = fwrite(&head, sizeof head, 1, f) == 1 ? ORL_OK : ORL_E_IO;
+    if (!e && h->phase == 0) e = stereo_work_save(p->maps, f);
+    if (!e && h->phase == 1) e = stereo_save(p->st, f);
+    if (!e && h->phase >= 2) e = surface_save(p->surf, f);
+    if (!e && h->phase >= 2) e = stage2_save(p->s2, f, h->phase == 2);
+    if (!e && h->phase >= 2) e = save_sky(p->w, f);
+    if (!e && h->phase >= 1) e = stage1_save(p->s1, f, h->phase == 1);
+    if (e || fflush(f) || fsync(fileno(f))) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     fclose(f);
     if (!e && rename(tmp, path)) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     if (e) unlink(tmp);
     return e;
 }
 
+static uint32_t hash(uint32_t h, const void *bytes, size_t n)   /* FNV-1a */
+{
+    for (const uint8_t *p = bytes; n--; p++) h = (h ^ *p) * 16777619u;
+    return h;
+}
+
+uint32_t checkpoint_place(const world *w)
+{
+    uint32_t h = hash(2166136261u, w->frame.dims, sizeof w->frame.dims);
+    for (int k = 0; k < w->nphotos; k++) {
+        const world_photo *p = &w->photos[k];
+        int32_t view[14] = { p->w, p->h };      /* rounded: compilers may differ in the last bits */
+        for (int i = 0; i < 3; i++) view[2 + i] = (int32_t)lrint(16 * fmin(fmax(p->centre[i], -1e6), 1e6));
+        for (int i = 0; i < 9; i++) view[5 + i] = (int32_t)lrint(4096 * p->axes[i]);
+        h = hash(h, p->name, strlen(p->name) + 1);
+        h = hash(h, view, sizeof view);
+    }
+    return h ? h : 1;
+}
+
+static int within(const checkpoint_header *h)
+{
+    const struct { int value, lo, hi; } range[] = {
+        { h->phase, 0, 3 }, { h->long_side, 16, ORL_IMAGE_MAX_SIDE }, { h->longest, 16, 2048 }, { h->rays, 1, 1 << 24 }, { h->steps, 1, 10000000 },
+        { h->pixels, 1, 1 << 24 }, { h->rounds, 1, 100000 }, { h->threads, 1, GRID_THREADS }, { h->nphotos, 2, 1000000 },
+    };
+    for (size_t i = 0; i < sizeof range / sizeof *range; i++) if (range[i].value < range[i].lo || range[i].value > range[i].hi) return 0;
+    return isfinite(h->seconds) && isfinite(h->cpu_seconds) && isfinite(h->samples);
+}
+
 orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
 {
     FILE *f = fopen(path, "rb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
-    if (fread(h, sizeof *h, 1, f) != 1 || memcmp(h->magic, "ORLCKPT1", 8) || h->phase < 1 || h->phase > 3) {
+    checkpoint_header head;
+    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT2", 8) || !within(&head)) {
         fclose(f);
         return orl_fail(ORL_E_FORMAT, "%s: not a checkpoint of this version", path);
     }
+    *h = head;
     *out = f;
     return ORL_OK;
 }

@@ -18,18 +18,20 @@ static const preset PRESETS[] = {
     { "standard", 512, 512, 4096, 10000, 90000, 100 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
-enum { CHECKPOINT_SECONDS = 45, ROUND_STEPS = 6 };
+enum { ROUND_STEPS = 6 };
 
 static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
     "      --preset NAME      demo, quick, standard (default) or full: about 4, 10, 40, 180 minutes on two cores\n"
-    "      --resume           go on from FILE.ckpt\n"
+    "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky and --no-masks again)\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"
     "      --steps N          stage 1 steps, instead of the preset's\n"
-    "      --cells N          fine cells along the longest side of the box\n"
+    "      --rounds N         stage 2 rounds, instead of the preset's\n"
+    "      --cells N          fine cells along the longest side of the box, 64 to 2048, instead of the preset's\n"
+    "      --checkpoint-seconds S  between two checkpoints, default 45\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
     "      --no-masks         do not read given masks (sky is segmented by the program)\n"
     "      --seed N           default 1; runs repeat for the same seed and thread count\n"
@@ -76,136 +78,217 @@ typedef struct {
     char output[900], ckpt[1000];
     const char *sky;
     int resume, stage2, use_masks, json;
-    double budget;
+    double budget, checkpoint_seconds;
     checkpoint_header head;
 } fit_options;
 
-static orl_err run(const fit_options *o, const orl_dataset *d)
-{
-    checkpoint_header head = o->head;
-    world w = { 0 };
-    stage1 s1 = { 0 };
-    surface surf = { 0 };
-    stage2 s2 = { 0 };
-    FILE *ck = NULL;
-    double start = now(), cpu0 = cpu_now(), before = 0, before_cpu = 0, last_save = start;
-    size_t bytes = 0;
-    int phase = 1;
-    orl_err e;
-    if (o->resume || o->stage2) {
-        if ((e = checkpoint_peek(o->ckpt, &head, &ck))) return e;
-        phase = head.phase;
-        before = head.seconds;
-        before_cpu = head.cpu_seconds;
-        if (phase == 3 && !o->stage2) { fclose(ck); fprintf(stderr, "oriel-train: %s is finished\n", o->ckpt); return ORL_OK; }
-        if (phase == 1 && o->stage2) { fclose(ck); return orl_fail(ORL_E_FORMAT, "%s: stage 1 has not finished", o->ckpt); }
-        if (o->stage2) { head.pixels = o->head.pixels; head.rounds = o->head.rounds; }
-    }
-    if ((e = world_load(d, head.long_side, head.longest, o->use_masks, head.threads, &w))) goto done;
-    if (head.nphotos && head.nphotos != w.nphotos) { e = orl_fail(ORL_E_FORMAT, "%s: made from %d photos, %s has %d", o->ckpt, head.nphotos, d->dir, w.nphotos); goto done; }
-    head.nphotos = w.nphotos;
-    fprintf(stderr, "%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, w.nphotos, w.npoints, w.frame.dims[0], w.frame.dims[1], w.frame.dims[2], 1 / w.frame.scale, now() - start);
-    stage1_options o1 = { head.rays, head.steps, head.seed, head.threads, 0 };
-    stage2_options o2 = { head.pixels, head.rounds, ROUND_STEPS, head.seed, head.threads };
-    if ((e = stage1_init(&s1, &w, &o1))) goto done;
+/* A run: what it has made so far, and what it has spent. */
+typedef struct {
+    const fit_options *o;
+    checkpoint_header head;
+    world w;
+    stereo_work *maps;
+    stereo st;
+    stage1 s1;
+    surface surf;
+    stage2 s2;
+    stage2_options o2;
     orl_light_model light;
-    if (o->sky) { if ((e = orl_sky_load(o->sky, &light))) goto done; }
-    else orl_light_model_default(&light);
+    double start, cpu0, before, before_cpu, last_save;
+} run;
 
-    if (ck && phase >= 2) {
-        if ((e = surface_load(&surf, ck, o->ckpt))) goto done;
-        stage2 skip = { 0 };
-        long at = ftell(ck);                    /* stage 2 needs stage 1's colours to be set up: read past it first */
-        if (!(e = stage2_init(&skip, &w, &surf, NULL, NULL, &o2))) {
-            if (phase == 2) skip.adam = calloc(4096, sizeof *skip.adam);
-            e = stage2_load(&skip, ck, phase == 2, o->ckpt);
-        }
-        stage2_free(&skip);
-        if (!e) e = stage1_load(&s1, ck, 0, o->ckpt);
-        if (!e) e = stage2_init(&s2, &w, &surf, &s1, &light, &o2);
-        if (!e && !o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&s2, ck, phase == 2, o->ckpt);
-        if (e) goto done;
-    } else if (ck) {
-        if ((e = stage1_load(&s1, ck, 1, o->ckpt))) goto done;
-    }
-    stage1_losses mean = { 0 };
-    int first = s1.step;
-    double t1 = now();
-    while (phase == 1 && s1.step < head.steps) {
-        stage1_losses l;
-        stage1_step(&s1, &l);
-        head.samples += l.samples;
-        double k = s1.step - first < 50 ? 1.0 / (s1.step - first) : 0.02;
-        for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
-        if (o->budget > 0 && now() - start > 0.75 * o->budget * 60) s1.opt.steps = head.steps = s1.step;
-        char text[200];
-        snprintf(text, sizeof text, "stage 1  step %d  PSNR %.2f  sky %.3f  eikonal %.3f  points %.2f  transient %.3f  %.1f samples/ray", s1.step, -10 * log10(mean.mse + 1e-9), mean.sky, mean.eikonal, mean.points, mean.transient, mean.samples / head.rays);
-        progress(t1, (double)(s1.step - first) / (head.steps - first), text);
-        if (now() - last_save > CHECKPOINT_SECONDS) {
-            head.phase = 1;
-            head.seconds = before + now() - start;
-            head.cpu_seconds = before_cpu + cpu_now() - cpu0;
-            if ((e = checkpoint_save(o->ckpt, &head, &s1, NULL, NULL))) goto done;
-            last_save = now();
-        }
-    }
+static orl_err save(run *r)
+{
+    checkpoint_parts p = { &r->w, r->maps, &r->st, &r->s1, &r->surf, &r->s2 };
+    r->head.seconds = r->before + now() - r->start;
+    r->head.cpu_seconds = r->before_cpu + cpu_now() - r->cpu0;
+    orl_err e = checkpoint_save(r->o->ckpt, &r->head, &p);
+    r->last_save = now();
+    return e;
+}
+
+static orl_err save_sometimes(run *r) { return now() - r->last_save >= r->o->checkpoint_seconds ? save(r) : ORL_OK; }
+
+/* What follows the checkpoint's header. */
+static orl_err resume(run *r, FILE *ck)
+{
+    const char *path = r->o->ckpt;
+    int phase = r->head.phase;
+    orl_err e;
+    if (phase == 0) return stereo_work_load(r->maps, ck, path);
     if (phase == 1) {
-        if ((e = surface_build(&s1, &surf)) || (e = surface_prune(&surf, &w, head.threads)) || (e = surface_light(&surf, head.threads))) goto done;
-        fprintf(stderr, "surface: %u bricks, %.1f s\n", surf.nbricks, now() - start);
-        if ((e = stage2_init(&s2, &w, &surf, &s1, &light, &o2))) goto done;
+        e = stereo_load(&r->st, &r->w, ck, path);
+        if (!e) e = stage1_start(&r->s1, &r->w, &r->st);
+        return e ? e : stage1_load(&r->s1, ck, 1, path);
     }
-    double t2 = now();
-    int first2 = s2.round;
-    while (s2.round < head.rounds) {
-        stage2_losses l;
-        stage2_round(&s2, &l);
-        if (o->budget > 0 && now() - start > o->budget * 60) s2.opt.rounds = head.rounds = s2.round;
+    if ((e = surface_load(&r->surf, ck, path))) return e;
+    stage2 skip = { 0 };
+    long at = ftell(ck);                        /* stage 2 needs stage 1's colours to be set up: read past it first */
+    if (!(e = stage2_init(&skip, &r->w, &r->surf, NULL, NULL, &r->o2))) {
+        if (phase == 2) skip.adam = calloc(4096, sizeof *skip.adam);
+        e = stage2_load(&skip, ck, phase == 2, path);
+    }
+    stage2_free(&skip);
+    if (!e) e = checkpoint_load_sky(&r->w, ck, path);
+    if (!e) e = stage1_load(&r->s1, ck, 0, path);
+    if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
+    if (!e && !r->o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&r->s2, ck, phase == 2, path);
+    if (!e && (r->s2.round < 0 || r->s2.round > r->head.rounds)) e = orl_fail(ORL_E_RANGE, "%s: stage 2 round %d of %d", path, r->s2.round, r->head.rounds);
+    return e;
+}
+
+static orl_err run_stereo(run *r)
+{
+    double t = now(), first = stereo_progress(r->maps);
+    orl_err e;
+    while (stereo_step(r->maps)) {
+        double done = stereo_progress(r->maps);
+        progress(t, (done - first) / (1 - first), "stereo");
+        if (stereo_can_save(r->maps) && (e = save_sometimes(r))) return e;
+    }
+    e = stereo_finish(r->maps, &r->st);
+    stereo_end(r->maps);
+    r->maps = NULL;
+    if (e || (e = stage1_start(&r->s1, &r->w, &r->st))) return e;
+    fprintf(stderr, "stereo: %u points, %.1f s\n", r->st.npoints, now() - r->start);
+    r->head.phase = 1;
+    return save(r);
+}
+
+static orl_err run_stage1(run *r)
+{
+    stage1 *s = &r->s1;
+    stage1_losses mean = { 0 };
+    int first = s->step;
+    double t = now(), budget = r->o->budget * 60;
+    orl_err e;
+    while (s->step < r->head.steps) {
+        stage1_losses l;
+        stage1_step(s, &l);
+        r->head.samples += l.samples;
+        double k = s->step - first < 50 ? 1.0 / (s->step - first) : 0.02;
+        for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
+        if (budget > 0 && now() - r->start > 0.75 * budget) s->opt.steps = r->head.steps = s->step;
         char text[200];
-        snprintf(text, sizeof text, "stage 2  round %d  PSNR %.2f  codes' rms %.3f  degenerate %d", s2.round, -10 * log10(l.mse + 1e-9), l.adapt_rms, l.degenerate);
-        progress(t2, (double)(s2.round - first2) / (head.rounds - first2), text);
-        if (now() - last_save > CHECKPOINT_SECONDS) {
-            head.phase = 2;
-            head.seconds = before + now() - start;
-            head.cpu_seconds = before_cpu + cpu_now() - cpu0;
-            if ((e = checkpoint_save(o->ckpt, &head, &s1, &surf, &s2))) goto done;
-            last_save = now();
-        }
+        snprintf(text, sizeof text, "stage 1  step %d  PSNR %.2f  sky %.3f  eikonal %.3f  points %.2f  transient %.3f  %.1f samples/ray", s->step, -10 * log10(mean.mse + 1e-9),
+                 mean.sky, mean.eikonal, mean.points, mean.transient, mean.samples / r->head.rays);
+        progress(t, (double)(s->step - first) / (r->head.steps - first), text);
+        if ((e = save_sometimes(r))) return e;
     }
-    stage2_prior(&s2);
-    if ((e = export_scene(o->output, &surf, &s2, w.title, &bytes))) goto done;
-    head.phase = 3;
-    head.seconds = before + now() - start;
-    head.cpu_seconds = before_cpu + cpu_now() - cpu0;
-    if ((e = checkpoint_save(o->ckpt, &head, &s1, &surf, &s2))) goto done;
+    if ((e = surface_build(s, &r->surf)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
+    fprintf(stderr, "surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
+    if ((e = stage2_init(&r->s2, &r->w, &r->surf, s, &r->light, &r->o2))) return e;
+    r->head.phase = 2;
+    return ORL_OK;
+}
+
+static orl_err run_stage2(run *r)
+{
+    stage2 *s = &r->s2;
+    int first = s->round;
+    double t = now();
+    orl_err e;
+    while (s->round < r->head.rounds) {
+        stage2_losses l;
+        stage2_round(s, &l);
+        if (r->o->budget > 0 && now() - r->start > r->o->budget * 60) s->opt.rounds = r->head.rounds = s->round;
+        char text[200];
+        snprintf(text, sizeof text, "stage 2  round %d  PSNR %.2f  codes' rms %.3f  degenerate %d", s->round, -10 * log10(l.mse + 1e-9), l.adapt_rms, l.degenerate);
+        progress(t, (double)(s->round - first) / (r->head.rounds - first), text);
+        if ((e = save_sometimes(r))) return e;
+    }
+    stage2_prior(s);
+    r->head.phase = 3;
+    return ORL_OK;
+}
+
+static orl_err fit(const fit_options *o, const orl_dataset *d)
+{
+    run r = { .o = o, .head = o->head, .start = now(), .cpu0 = cpu_now() };
+    checkpoint_header *head = &r.head;
+    FILE *ck = NULL;
+    size_t bytes = 0;
+    orl_err e;
+    r.last_save = r.start;
+    if (o->resume || o->stage2) {
+        if ((e = checkpoint_peek(o->ckpt, head, &ck))) return e;
+        r.before = head->seconds;
+        r.before_cpu = head->cpu_seconds;
+        if (head->phase < 2 && o->stage2) { fclose(ck); return orl_fail(ORL_E_FORMAT, "%s: stage 1 has not finished", o->ckpt); }
+        if (o->stage2) { head->pixels = o->head.pixels; head->rounds = o->head.rounds; }
+    }
+    if ((e = world_load(d, head->long_side, head->longest, o->use_masks, head->threads, &r.w))) goto done;
+    if (head->nphotos && head->nphotos != r.w.nphotos) { e = orl_fail(ORL_E_FORMAT, "%s: made from %d photos, %s has %d", o->ckpt, head->nphotos, d->dir, r.w.nphotos); goto done; }
+    uint32_t place = checkpoint_place(&r.w);
+    if (head->place && head->place != place) { e = orl_fail(ORL_E_FORMAT, "%s: made from other photos or cameras than those of %s", o->ckpt, d->dir); goto done; }
+    head->nphotos = r.w.nphotos;
+    head->place = place;
+    fprintf(stderr, "%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, r.w.nphotos, r.w.npoints, r.w.frame.dims[0], r.w.frame.dims[1], r.w.frame.dims[2],
+            1 / r.w.frame.scale, now() - r.start);
+    stage1_options o1 = { head->rays, head->steps, head->seed, head->threads, 0 };
+    r.o2 = (stage2_options){ head->pixels, head->rounds, ROUND_STEPS, head->seed, head->threads };
+    if ((e = stage1_init(&r.s1, &r.w, &o1))) goto done;
+    if (o->sky) { if ((e = orl_sky_load(o->sky, &r.light))) goto done; }
+    else orl_light_model_default(&r.light);
+    if (head->phase == 0 && (e = stereo_begin(&r.w, head->seed, head->threads, &r.maps))) goto done;
+    if (ck && (e = resume(&r, ck))) goto done;
+    if (o->stage2) head->phase = 2;
+
+    if (head->phase == 0 && (e = run_stereo(&r))) goto done;
+    if (head->phase == 1 && (e = run_stage1(&r))) goto done;
+    if (head->phase == 2 && (e = run_stage2(&r))) goto done;
+    if ((e = export_scene(o->output, &r.surf, &r.s2, r.w.title, &bytes)) || (e = save(&r))) goto done;
     struct rusage u;
     getrusage(RUSAGE_SELF, &u);
-    fprintf(stderr, "%s: %.1f MB, %u bricks, %.1f minutes, peak memory %.2f GB\n", o->output, (double)bytes * 1e-6, surf.nbricks, head.seconds / 60, (double)u.ru_maxrss * 1e-6);
-    if (o->json)
-        printf("{\"scene\": \"%s\", \"seconds\": %.1f, \"cpu_seconds\": %.1f, \"samples_per_core_second\": %.0f, \"peak_bytes\": %.0f, \"scene_bytes\": %zu, \"bricks\": %u}\n", d->name, head.seconds, head.cpu_seconds,
-               head.samples / (head.cpu_seconds > 0 ? head.cpu_seconds : 1), (double)u.ru_maxrss * 1024, bytes, surf.nbricks);
+    fprintf(stderr, "%s: %.1f MB, %u bricks, %.1f minutes, peak memory %.2f GB\n", o->output, (double)bytes * 1e-6, r.surf.nbricks, head->seconds / 60, (double)u.ru_maxrss * 1e-6);
+    if (o->json) {
+        printf("{\"scene\": ");
+        print_json_string(d->name);
+        printf(", \"seconds\": %.1f, \"cpu_seconds\": %.1f, \"samples_per_core_second\": %.0f, \"peak_bytes\": %.0f, \"scene_bytes\": %zu, \"bricks\": %u}\n", head->seconds, head->cpu_seconds,
+               head->samples / (head->cpu_seconds > 0 ? head->cpu_seconds : 1), (double)u.ru_maxrss * 1024, bytes, r.surf.nbricks);
+    }
 done:
     if (ck) fclose(ck);
-    stage2_free(&s2);
-    surface_free(&surf);
-    stage1_free(&s1);
-    world_free(&w);
+    stage2_free(&r.s2);
+    surface_free(&r.surf);
+    stage1_free(&r.s1);
+    stereo_free(&r.st);
+    stereo_end(r.maps);
+    world_free(&r.w);
     return e;
+}
+
+static int number(const char *text, double lo, double hi, double *out)
+{
+    char *end;
+    double v = strtod(text, &end);
+    if (end == text || *end || !(v >= lo && v <= hi)) return 0;
+    *out = v;
+    return 1;
+}
+
+static int whole(const char *text, int lo, int hi, int *out)
+{
+    double v;
+    if (!number(text, lo, hi, &v) || v != floor(v)) return 0;
+    *out = (int)v;
+    return 1;
 }
 
 int cmd_fit(int argc, char **argv)
 {
-    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, CELLS, SKY, NO_MASKS, SEED, THREADS, JSON };
+    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, CHECKPOINT, SKY, NO_MASKS, SEED, THREADS, JSON };
     static const struct option LONG[] = {
-        { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "cells", 1, 0, CELLS },
-        { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
+        { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
+        { "cells", 1, 0, CELLS }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
-    fit_options o = { .use_masks = 1 };
+    fit_options o = { .use_masks = 1, .checkpoint_seconds = 45 };
     const preset *p = &PRESETS[2];
-    int c, steps = 0, cells = 0, threads = orl_cores();
-    unsigned long long seed = 1;
+    int c, ok = 1, steps = 0, rounds = 0, cells = 0, threads = orl_cores();
+    double seed = 1;
     while ((c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) {
         switch (c) {
-        case 'o': snprintf(o.output, sizeof o.output, "%s", optarg); break;
+        case 'o': ok = (size_t)snprintf(o.output, sizeof o.output, "%s", optarg) < sizeof o.output; break;
         case PRESET:
             p = NULL;
             for (size_t i = 0; i < sizeof PRESETS / sizeof *PRESETS; i++) if (!strcmp(PRESETS[i].name, optarg)) p = &PRESETS[i];
@@ -213,26 +296,29 @@ int cmd_fit(int argc, char **argv)
             break;
         case RESUME: o.resume = 1; break;
         case STAGE2: o.stage2 = 1; break;
-        case BUDGET: o.budget = atof(optarg); break;
-        case STEPS: steps = atoi(optarg); break;
-        case CELLS: cells = atoi(optarg); break;
+        case BUDGET: ok = number(optarg, 0, 1e6, &o.budget); break;
+        case STEPS: ok = whole(optarg, 1, 10000000, &steps); break;
+        case ROUNDS: ok = whole(optarg, 1, 100000, &rounds); break;
+        case CELLS: ok = whole(optarg, 64, 2048, &cells); break;
+        case CHECKPOINT: ok = number(optarg, 0, 1e9, &o.checkpoint_seconds); break;
         case SKY: o.sky = optarg; break;
         case NO_MASKS: o.use_masks = 0; break;
-        case SEED: seed = strtoull(optarg, NULL, 10); break;
-        case THREADS: threads = atoi(optarg); break;
+        case SEED: ok = number(optarg, 0, 9e15, &seed) && seed == floor(seed); break;
+        case THREADS: ok = whole(optarg, 1, 1024, &threads); break;
         case JSON: o.json = 1; break;
         case 'h': fputs(USAGE, stdout); return 0;
         default: fputs(USAGE, stderr); return 2;
         }
+        if (!ok) { fprintf(stderr, "oriel-train fit: %s is out of range (oriel-train fit --help tells more)\n", optarg); return 2; }
     }
-    if (optind + 1 != argc || !o.output[0] || steps < 0 || cells < 0 || (cells && (cells < 64 || cells > 2048)) || threads < 1) { fputs(USAGE, stderr); return 2; }
+    if (optind + 1 != argc || !o.output[0]) { fputs(USAGE, stderr); return 2; }
     snprintf(o.ckpt, sizeof o.ckpt, "%s.ckpt", o.output);
     if (threads > GRID_THREADS) threads = GRID_THREADS;
-    o.head = (checkpoint_header){ .long_side = p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = p->rounds, .threads = threads, .seed = seed };
+    o.head = (checkpoint_header){ .long_side = p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .threads = threads, .seed = (uint64_t)seed };
     orl_dataset d;
     orl_err e = orl_dataset_open(argv[optind], warn_line, NULL, &d);
     if (!e) {
-        e = run(&o, &d);
+        e = fit(&o, &d);
         orl_dataset_free(&d);
     }
     if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());

@@ -1,32 +1,39 @@
-/* First SDF by space carving: a voxel is free where photos see sky through it, or where it lies before the depth that SfM points of a photo suggest (push-pull interpolated).
- * What lies behind that depth in the photos that see it stays solid, and so does the ground, so the hull has no fog behind surfaces and no shell in the sky; volume rendering refines it. */
+/* First SDF: a vote of the photos at every voxel, then the distance to where it changes sign.
+ * A stereo point says how far the voxel lies before or behind its plane; sky behind a voxel says free; where a pixel has no stereo point, depth carried over from its neighbours says free or
+ * solid with little weight; what lies behind every surface is solid if nobody objects, and so is the ground. No fog behind surfaces, no shell in the sky; volume rendering refines it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
-#include "trainer/world.h"
+#include "trainer/stereo.h"
 
-enum { DW = 64, DH = 64, LEVELS = 7 };   /* depth maps of 64 x 64 over each photo */
+enum { DW = 128, DH = 128, LEVELS = 8 };     /* depth maps over each photo */
 typedef struct { float inv[DH][DW]; uint8_t level[DH][DW]; } depth_map;
 
-/* Inverse depth of SfM points, holes filled from coarser levels; level tells from how far. */
-static void depth_interpolate(const world *w, const world_photo *p, depth_map *out)
+static void depth_add(const world_photo *p, const float x[3], float weight, float *sum, float *wt)
 {
-    static const int SIZE[LEVELS] = { 64, 32, 16, 8, 4, 2, 1 };
+    double uv[2], z;
+    if (!world_project(p, x, uv, &z) || z < 1) return;
+    int u = (int)(uv[0] * DW / p->w), v = (int)(uv[1] * DH / p->h);
+    if (!(uv[0] >= 0) || !(uv[1] >= 0) || u >= DW || v >= DH) return;
+    sum[v * DW + u] += weight / (float)z;
+    wt[v * DW + u] += weight;
+}
+
+/* Inverse depth of SfM and stereo points, holes filled from coarser levels; level tells from how far. */
+static void depth_interpolate(const world *w, const stereo *st, int k, depth_map *out)
+{
+    static const int SIZE[LEVELS] = { 128, 64, 32, 16, 8, 4, 2, 1 };
+    const world_photo *p = &w->photos[k];
     float *sum[LEVELS], *wt[LEVELS];
     float *block = calloc(2 * (size_t)LEVELS * DW * DH, sizeof *block);
     if (!block) { memset(out, 0, sizeof *out); memset(out->level, 255, sizeof out->level); return; }
     for (int l = 0; l < LEVELS; l++) { sum[l] = block + (size_t)l * 2 * DW * DH; wt[l] = sum[l] + DW * DH; }
     for (uint32_t i = 0; i < p->obs_count; i++) {
-        const world_obs *o = &w->obs[p->obs_begin + i];
-        const world_point *q = &w->points[o->point];
-        double uv[2], z;
-        if (!world_project(p, q->x, uv, &z) || z < 1) continue;
-        int x = (int)(o->u * DW / (float)p->w), y = (int)(o->v * DH / (float)p->h);
-        if (x < 0 || y < 0 || x >= DW || y >= DH) continue;
-        sum[0][y * DW + x] += q->weight / (float)z;
-        wt[0][y * DW + x] += q->weight;
+        const world_point *q = &w->points[w->obs[p->obs_begin + i].point];
+        depth_add(p, q->x, q->weight, sum[0], wt[0]);
     }
+    for (uint32_t i = st ? st->begin[k] : 0, end = st ? st->begin[k + 1] : 0; i < end; i++) depth_add(p, st->points[i].x, st->points[i].weight, sum[0], wt[0]);
     for (int l = 1; l < LEVELS; l++)
         for (int y = 0; y < SIZE[l]; y++)
             for (int x = 0; x < SIZE[l]; x++)
@@ -55,45 +62,122 @@ static void depth_interpolate(const world *w, const world_photo *p, depth_map *o
     free(block);
 }
 
-typedef struct { const world *w; const depth_map *maps; int cell, n[3]; uint8_t *solid; } carve_job;
+/* Ground z = at[0] + at[1] x + at[2] y, fine cells. */
+typedef struct { float at[3]; } ground;
+
+static float ground_height(const ground *g, const float x[3]) { return g->at[0] + g->at[1] * x[0] + g->at[2] * x[1]; }
+
+/* Level of the lowest large share of the stereo points that look up, then a plane through those around it (steps and terraces left out: its tilt is held small);
+ * without stereo the frame's guess. */
+static ground ground_find(const world *w, const stereo *st)
+{
+    enum { BINS = 160 };
+    const int *dims = w->frame.dims;
+    float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS;
+    ground g = { { w->frame.ground, 0, 0 } };
+    for (uint32_t i = 0; st && i < st->npoints; i++) {
+        const stereo_point *q = &st->points[i];
+        int b = (int)floorf(q->x[2] / bin);
+        if (q->n[2] < 0.85f || b < 0 || b >= BINS) continue;
+        share[b] += q->weight;
+        share[b + 1] += q->weight;
+    }
+    for (int b = 0; b < BINS; b++) most = fmaxf(most, share[b]);
+    if (most < 200) return g;
+    int level = 0;
+    while (share[level] < 0.25f * most) level++;
+    while (share[level + 1] > share[level]) level++;
+    g.at[0] = (float)level * bin;
+    for (int round = 0; round < 8; round++) {   /* reweighted least squares */
+        double a = 0, b = 0, c = 0, d = 0, e = 0, f = 0, r0 = 0, r1 = 0, r2 = 0, mx = 0.5 * dims[0], my = 0.5 * dims[1], tilt = 0.15 * dims[0] * 0.15 * dims[0];
+        for (uint32_t i = 0; i < st->npoints; i++) {
+            const stereo_point *q = &st->points[i];
+            double r = (q->x[2] - ground_height(&g, q->x)) / bin, k = q->weight / ((1 + r * r) * (1 + r * r)), x = q->x[0] - mx, y = q->x[1] - my;
+            if (q->n[2] < 0.85f || r * r > 4) continue;
+            a += k; b += k * x; c += k * y; d += k * (x * x + tilt); e += k * x * y; f += k * (y * y + tilt);
+            r0 += k * q->x[2]; r1 += k * x * q->x[2]; r2 += k * y * q->x[2];
+        }
+        double det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d);
+        if (!(fabs(det) > 1e-9)) break;
+        double z = (r0 * (d * f - e * e) - b * (r1 * f - r2 * e) + c * (r1 * e - r2 * d)) / det;
+        double sx = (a * (r1 * f - r2 * e) - r0 * (b * f - c * e) + c * (b * r2 - c * r1)) / det;
+        double sy = (a * (d * r2 - e * r1) - b * (b * r2 - c * r1) + r0 * (b * e - c * d)) / det;
+        if (!(fabs(sx) < 0.1) || !(fabs(sy) < 0.1)) break;
+        g = (ground){ { (float)(z - sx * mx - sy * my), (float)sx, (float)sy } };
+    }
+    return g;
+}
+
+/* Stereo points of a photo by pixel, at half its size: index + 1, 0 = none. */
+static uint32_t *hits_make(const world *w, const stereo *st, int k)
+{
+    const world_photo *p = &w->photos[k];
+    int hw = p->w / 2 + 1, hh = p->h / 2 + 1;
+    uint32_t *hit = calloc((size_t)hw * (size_t)hh, sizeof *hit);
+    for (uint32_t i = st->begin[k]; hit && i < st->begin[k + 1]; i++) {
+        double uv[2];
+        if (world_project(p, st->points[i].x, uv, NULL) && uv[0] >= 0 && uv[1] >= 0 && uv[0] < p->w && uv[1] < p->h) hit[(int)uv[1] / 2 * hw + (int)uv[0] / 2] = i + 1;
+    }
+    return hit;
+}
+
+#define SPAN 6.0f               /* fine cells: what is nearer to a stereo point's plane is measured, what is farther before it is free */
+#define SAY_SKY 0.7f
+#define SAY_BEHIND 0.004f
+#define SAY_GROUND 0.5f
+
+typedef struct { const world *w; const stereo *st; const depth_map *maps; uint32_t **hits; ground ground; int cell, n[3]; float *field; } carve_job;
+
+static void say(float weight, float distance, float sum[2])
+{
+    sum[0] += weight * fminf(fmaxf(distance, -SPAN), SPAN);
+    sum[1] += weight;
+}
+
+/* What photo k says of a voxel: adds distance times weight, positive for free, and weight. measured: guesses from neighbouring pixels do not count. */
+static void vote(const carve_job *j, int k, const float g[3], int measured, float sum[2])
+{
+    const world_photo *p = &j->w->photos[k];
+    double uv[2], depth;
+    float away2 = 0;
+    for (int a = 0; a < 3; a++) away2 += (g[a] - (float)p->centre[a]) * (g[a] - (float)p->centre[a]);
+    if (away2 < 4.0f * (float)(j->cell * j->cell)) { say(100, SPAN, sum); return; }
+    if (!world_project(p, g, uv, &depth) || uv[0] < 0 || uv[1] < 0 || uv[0] >= p->w || uv[1] >= p->h) return;
+    if (p->sky[(int)uv[1] * p->w + (int)uv[0]] > 200) { say(SAY_SKY, SPAN, sum); return; }
+    uint32_t hit = j->hits[k] ? j->hits[k][(int)uv[1] / 2 * (p->w / 2 + 1) + (int)uv[0] / 2] : 0;
+    if (hit) {
+        const stereo_point *q = &j->st->points[hit - 1];
+        float f = 0, before2 = 0, d[3];
+        for (int a = 0; a < 3; a++) {
+            f += q->n[a] * (g[a] - q->x[a]);
+            d[a] = q->x[a] - (float)p->centre[a];
+            before2 += d[a] * d[a];
+        }
+        float behind = sqrtf(away2) - sqrtf(before2);
+        if (behind > 2 * SPAN) say(SAY_BEHIND, -SPAN, sum);
+        else say(q->weight, behind < -2 * SPAN ? SPAN : f, sum);
+        return;
+    }
+    const depth_map *m = &j->maps[k];
+    int mx = (int)(uv[0] * DW / p->w), my = (int)(uv[1] * DH / p->h), level = m->level[my][mx];
+    if (measured || m->inv[my][mx] <= 0) return;
+    /* The farther the depth was carried, the less it says and the farther from it a voxel must be. */
+    static const float SAY[LEVELS] = { 0.3f, 0.2f, 0.15f, 0.1f, 0.07f, 0.05f, 0.05f, 0.05f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.98f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
+    if ((float)depth < NEAR[level] / m->inv[my][mx] - (float)j->cell) say(SAY[level], SPAN, sum);
+    else say(SAY_BEHIND, -SPAN, sum);
+}
 
 static void carve_range(void *user, int begin, int end)
 {
     carve_job *j = user;
-    const world *w = j->w;
     for (int z = begin; z < end; z++)
         for (int y = 0; y < j->n[1]; y++)
             for (int x = 0; x < j->n[0]; x++) {
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
-                int seen = 0, sky = 0;
-                float free_votes = 0, solid_votes = 0, behind_votes = 0;
-                for (int k = 0; k < w->nphotos; k++) {
-                    const world_photo *p = &w->photos[k];
-                    double uv[2], depth;
-                    double dx = g[0] - p->centre[0], dy = g[1] - p->centre[1], dz = g[2] - p->centre[2];
-                    if (dx * dx + dy * dy + dz * dz < 4.0 * j->cell * j->cell) { free_votes += 100; continue; }
-                    if (!world_project(p, g, uv, &depth)) continue;
-                    if (uv[0] < 0 || uv[1] < 0 || uv[0] >= p->w || uv[1] >= p->h) continue;
-                    seen++;
-                    int label = p->sky[(int)uv[1] * p->w + (int)uv[0]];
-                    if (label > 200) { sky++; continue; }
-                    const depth_map *m = &j->maps[k];
-                    int mx = (int)(uv[0] * DW / p->w), my = (int)(uv[1] * DH / p->h);
-                    /* The farther the depth was carried, the less it says and the farther from it a voxel must be. */
-                    static const float CONF[LEVELS] = { 1, 1, 0.7f, 0.5f, 0.35f, 0.25f, 0.25f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
-                    int level = m->level[my][mx];
-                    if (m->inv[my][mx] <= 0) continue;
-                    float surface = 1.0f / m->inv[my][mx];
-                    if ((float)depth < surface * NEAR[level] - (float)j->cell) free_votes += CONF[level];
-                    else if (level <= 2 && (float)depth < surface * 1.03f + 2.0f * (float)j->cell) solid_votes += CONF[level];
-                    else behind_votes += CONF[level];
-                }
-                int carved = sky >= 2 && sky * 8 >= seen;
-                if (sky == 1 && seen <= 2) carved = 1;
-                if (free_votes + solid_votes + behind_votes == 0) carved = 1;      /* nothing known: open, the ground apart */
-                if (free_votes > 0.24f + 0.7f * solid_votes) carved = 1;
-                if (g[2] < w->frame.ground - (float)j->cell) carved = 0;
-                j->solid[((size_t)z * j->n[1] + y) * (size_t)j->n[0] + x] = !carved;
+                float over = g[2] - ground_height(&j->ground, g), sum[2] = { 0, 0 };
+                if (over < SPAN) say(SAY_GROUND, over, sum);
+                for (int k = 0; k < j->w->nphotos; k++) vote(j, k, g, over < 0, sum);
+                j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = sum[1] > 0 ? sum[0] / sum[1] : SPAN;
             }
 }
 
@@ -160,27 +244,32 @@ static void smooth(float *f, float *tmp, const int n[3])
     }
 }
 
-orl_err hull_build(const world *w, int cell, int threads, float **sdf)
+orl_err hull_build(const world *w, const stereo *st, int cell, int threads, float **sdf)
 {
-    carve_job j = { .w = w, .cell = cell };
+    carve_job j = { .w = w, .st = st, .ground = ground_find(w, st), .cell = cell };
     for (int a = 0; a < 3; a++) j.n[a] = w->frame.dims[a] / cell + 1;
     size_t total = (size_t)j.n[0] * (size_t)j.n[1] * (size_t)j.n[2];
     depth_map *maps = malloc((size_t)w->nphotos * sizeof *maps);
     float *in = malloc(total * sizeof *in), *out = malloc(total * sizeof *out);
-    j.solid = malloc(total);
+    j.field = malloc(total * sizeof *j.field);
+    j.hits = calloc((size_t)w->nphotos, sizeof *j.hits);
     orl_err e = ORL_OK;
-    if (!maps || !in || !out || !j.solid) { e = orl_fail(ORL_E_MEMORY, "hull: no memory for %zu voxels", total); goto done; }
-    for (int k = 0; k < w->nphotos; k++) depth_interpolate(w, &w->photos[k], &maps[k]);
+    if (!maps || !in || !out || !j.field || !j.hits) { e = orl_fail(ORL_E_MEMORY, "hull: no memory for %zu voxels", total); goto done; }
+    for (int k = 0; k < w->nphotos; k++) {
+        depth_interpolate(w, st, k, &maps[k]);
+        if (st && st->npoints) j.hits[k] = hits_make(w, st, k);
+    }
     j.maps = maps;
     orl_parallel(threads, j.n[2], 1, carve_range, &j);
     for (size_t i = 0; i < total; i++) {
-        out[i] = j.solid[i] ? 0.0f : 1e12f;
-        in[i] = j.solid[i] ? 1e12f : 0.0f;
+        out[i] = j.field[i] < 0 ? 0.0f : 1e12f;
+        in[i] = j.field[i] < 0 ? 1e12f : 0.0f;
     }
     if ((e = edt(out, j.n)) || (e = edt(in, j.n))) goto done;
     for (size_t i = 0; i < total; i++) {
-        float a = fminf(sqrtf(out[i]), 64.0f), b = fminf(sqrtf(in[i]), 64.0f);
-        out[i] = (j.solid[i] ? 0.5f - b : a - 0.5f) * (float)cell;
+        float a = fminf(sqrtf(out[i]), 64.0f), b = fminf(sqrtf(in[i]), 64.0f), d = (j.field[i] < 0 ? 0.5f - b : a - 0.5f) * (float)cell, f = j.field[i];
+        float near = fminf(fmaxf(1.5f - 0.5f * fabsf(d) / (float)cell, 0), 1) * fminf(fmaxf(3 - 4 * fabsf(f) / SPAN, 0), 1);   /* the vote itself is finer than the lattice */
+        out[i] = d + near * (f - d);
     }
     smooth(out, in, j.n);
     *sdf = out;
@@ -189,7 +278,9 @@ done:
     free(maps);
     free(in);
     free(out);
-    free(j.solid);
+    free(j.field);
+    for (int k = 0; j.hits && k < w->nphotos; k++) free(j.hits[k]);
+    free(j.hits);
     return e;
 }
 

@@ -1,4 +1,5 @@
 /* oriel-train: dispatch to the sub-commands of trainer/commands.h. */
+#include <signal.h>
 #include <stdio.h>
 #include <string.h>
 #include "trainer/commands.h"
@@ -18,12 +19,20 @@ static void usage(FILE *f)
     fprintf(f, "\n  --help, --version\n");
 }
 
+static int finish(int code)
+{
+    if (!fflush(stdout) && !ferror(stdout)) return code;
+    fprintf(stderr, "oriel-train: standard output: cannot write\n");
+    return 1;
+}
+
 int main(int argc, char **argv)
 {
+    signal(SIGXFSZ, SIG_IGN);                   /* a file size limit is a write error like a full disk */
     if (argc < 2) { usage(stderr); return 2; }
-    if (!strcmp(argv[1], "--help") || !strcmp(argv[1], "-h")) { usage(stdout); return 0; }
-    if (!strcmp(argv[1], "--version")) { puts("oriel-train 0.1"); return 0; }
-    for (int i = 0; i < N; i++) if (!strcmp(argv[1], COMMANDS[i].name)) return COMMANDS[i].run(argc - 1, argv + 1);
+    if (!strcmp(argv[1], "--help") || !strcmp(argv[1], "-h")) { usage(stdout); return finish(0); }
+    if (!strcmp(argv[1], "--version")) { puts("oriel-train 0.1"); return finish(0); }
+    for (int i = 0; i < N; i++) if (!strcmp(argv[1], COMMANDS[i].name)) return finish(COMMANDS[i].run(argc - 1, argv + 1));
     fprintf(stderr, "oriel-train: %s: no such command (see oriel-train --help)\n", argv[1]);
     return 2;
 }

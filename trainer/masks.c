@@ -72,7 +72,7 @@ static void mask_range(void *user, int begin, int end)
     }
 }
 
-static void print_string(const char *s)
+void print_json_string(const char *s)
 {
     putchar('"');
     for (; *s; s++) {
@@ -96,7 +96,7 @@ static void print_result(const char *name, const result *r, int json)
 {
     if (json) {
         printf("{\"name\": ");
-        print_string(name);
+        print_json_string(name);
         printf(", ");
         print_number("sky", r->sky); printf(", ");
         print_number("unknown", r->unknown);
@@ -178,7 +178,7 @@ int cmd_masks(int argc, char **argv)
     if (j.out && mkdir(j.out, 0777) && errno != EEXIST) { fprintf(stderr, "oriel-train: %s: %s\n", j.out, strerror(errno)); status = 1; goto done; }
     orl_parallel(threads, (int)d.nphotos, 1, mask_range, &j);
 
-    if (json) { printf("{\"scene\": "); print_string(d.name); printf(", \"photos\": ["); }
+    if (json) { printf("{\"scene\": "); print_json_string(d.name); printf(", \"photos\": ["); }
     int given = 0, printed = 0;
     for (uint32_t i = 0; i < d.nphotos; i++) {
         const result *r = &j.r[i];

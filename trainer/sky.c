@@ -135,7 +135,7 @@ static orl_err gather(char **args, int count, panorama *p, int *n)
         closedir(d);
     }
     qsort(p, (size_t)*n, sizeof *p, by_path);
-    return *n ? ORL_OK : orl_fail(ORL_E_DEGENERATE, "no .hdr or .exr panorama given");
+    return *n ? ORL_OK : orl_fail(ORL_E_DEGENERATE, "%s: no .hdr or .exr panorama", args[0]);
 }
 
 static const char USAGE[] =

@@ -17,14 +17,44 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define BETA_MIN 0.06f
 
 /* Weights of the loss terms; the photometric one is scaled so that it is the plain squared error where no transient is. */
+#ifndef PHOTO_SHAPES
+#define PHOTO_SHAPES 1.0f
+#endif
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_EIKONAL 0.01f
 #define LAMBDA_SMOOTH 0.03f
 #define LAMBDA_POINT 0.02f
+#define LAMBDA_STEREO 0.02f
+#define LAMBDA_NORMAL 0.02f
 #define LAMBDA_FREE 0.05f
+#define LAMBDA_HULL 0.004f
 #define LAMBDA_TRANSIENT 0.012f
 
-orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt)
+/* Vertices of a level take the lattice's values, less what the coarser level (NULL: none) says there. */
+static void start_level(grid *g, const int dims[3], const float *lattice, int cell, const grid *coarser)
+{
+    int n[3], step = (int)g->cell / cell;
+    for (int a = 0; a < 3; a++) n[a] = dims[a] / cell + 1;
+    for (int z = 0; z < g->n[2]; z++)
+        for (int y = 0; y < g->n[1]; y++)
+            for (int x = 0; x < g->n[0]; x++) {
+                int at[3] = { x * step, y * step, z * step };
+                for (int a = 0; a < 3; a++) if (at[a] >= n[a]) at[a] = n[a] - 1;
+                size_t i = grid_at(g, x, y, z);
+                float v = lattice[((size_t)at[2] * (size_t)n[1] + (size_t)at[1]) * (size_t)n[0] + (size_t)at[0]];
+                if (coarser) {
+                    float q[3] = { (float)(at[0] * cell), (float)(at[1] * cell), (float)(at[2] * cell) };
+                    grid_cell c;
+                    grid_find(coarser, q, &c);
+                    v -= grid_value(coarser, &c, NULL);
+                    if (v == 0) continue;
+                }
+                g->p[i] = v;
+                grid_mark(g, i);
+            }
+}
+
+orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
 {
     memset(s, 0, sizeof *s);
     s->w = w;
@@ -40,29 +70,28 @@ orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt)
     }
     if (!e) e = grid_init(&s->codes, (int[3]){ w->nphotos, 1, 1 }, 1, FEAT, opt->threads);
     if (!e) e = grid_init(&s->transient, (int[3]){ tw / TRANSIENT_PX + 1, th / TRANSIENT_PX + 1, w->nphotos }, 1, 8, opt->threads);
-    if (!e) e = grid_init(&s->hull, w->frame.dims, SDF_CELL[2], 1, 0);
+    if (e) stage1_free(s);
+    return e;
+}
+
+orl_err stage1_start(stage1 *s, world *w, const stereo *st)
+{
+    const int cell = SDF_CELL[1];
     float *hull = NULL;
-    int cell = SDF_CELL[2];
-    if (!e) e = hull_build(w, cell, opt->threads, &hull);
-    if (e) { stage1_free(s); return e; }
-    hull_relabel(w, hull, cell, opt->threads);
-    grid *g = &s->sdf[2];
-    int n[3];
-    for (int a = 0; a < 3; a++) n[a] = w->frame.dims[a] / cell + 1;
-    for (int z = 0; z < g->n[2]; z++)
-        for (int y = 0; y < g->n[1]; y++)
-            for (int x = 0; x < g->n[0]; x++) {
-                int cx = x < n[0] ? x : n[0] - 1, cy = y < n[1] ? y : n[1] - 1, cz = z < n[2] ? z : n[2] - 1;
-                size_t i = grid_at(g, x, y, z);
-                g->p[i] = s->hull.p[i] = hull[((size_t)cz * n[1] + cy) * (size_t)n[0] + cx];
-                grid_mark(g, i);
-            }
+    s->st = st;
+    orl_err e = grid_init(&s->hull, w->frame.dims, cell, 1, 0);
+    if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);
+    if (e) return e;
+    hull_relabel(w, hull, cell, s->opt.threads);
+    start_level(&s->hull, w->frame.dims, hull, cell, NULL);
+    start_level(&s->sdf[2], w->frame.dims, hull, cell, NULL);
+    start_level(&s->sdf[1], w->frame.dims, hull, cell, &s->sdf[2]);
     free(hull);
     for (int k = 0; k < w->nphotos; k++) {
         const world_photo *p = &w->photos[k];
         size_t i = grid_at(&s->codes, k, 0, 0);
         float *c = s->codes.p + i * FEAT;
-        rng r = rng_make(opt->seed, 0xc0de, (uint64_t)k);
+        rng r = rng_make(s->opt.seed, 0xc0de, (uint64_t)k);
         for (int j = 0; j < APPEARANCE; j++) c[j] = 0.3f * rng_normal(&r);
         double mean[3] = { 0 }, count = 1e-9;
         for (int q = 0; q < p->w * p->h; q += 7) {
@@ -95,7 +124,7 @@ static schedule schedule_at(const stage1 *s)
 {
     float t = (float)s->step / (float)(s->opt.steps > 0 ? s->opt.steps : 1);
     schedule c;
-    c.finest = t < 0.15f ? 2 : t < 0.4f ? 1 : 0;
+    c.finest = t < 0.2f ? 1 : 0;
     float u = t < 0.9f ? t / 0.9f : 1.0f;
     int longest = 0;
     for (int a = 0; a < 3; a++) longest = s->w->frame.dims[a] > longest ? s->w->frame.dims[a] : longest;
@@ -105,7 +134,7 @@ static schedule schedule_at(const stage1 *s)
     c.band = 5.0f * c.sigma;
     c.delta = fmaxf(0.9f * c.sigma, 0.5f);
     c.lr = expf(logf(0.08f) * t);
-    c.transient = t > 0.2f;
+    c.transient = t > 0.05f;
     return c;
 }
 
@@ -198,20 +227,17 @@ static int ray_march(const stage1 *s, const schedule *c, const float o[3], const
 static float huber_slope(float x, float k) { return x > k ? k : x < -k ? -k : x; }
 static float huber(float x, float k) { float a = fabsf(x); return a > k ? k * (a - 0.5f * k) : 0.5f * x * x; }
 
-/* What the hull carved stays free near the camera: f >= a share of the hull's distance at a random point of the first part of the ray (the rest is left to the photos: thin columns stand in carved space). */
-static void train_free(step_job *job, int thread, rng *r, const float o[3], const float d[3], const ray_sample *last)
+/* What the hull found free stays free: f >= a share of the hull's distance at a random point of the ray. Without it, passers-by and noise of light heap up before surfaces that show little texture. */
+static void train_free(step_job *job, int thread, rng *r, const float o[3], const float d[3])
 {
     stage1 *s = job->s;
     float t0, t1, x[3];
     if (!box_clip(s->w->frame.dims, o, d, &t0, &t1)) return;
-    if (last) t1 = fminf(t1, (last->x[0] - o[0]) * d[0] + (last->x[1] - o[1]) * d[1] + (last->x[2] - o[2]) * d[2]);
-    t1 *= 0.6f;
-    if (t1 <= t0) return;
     float t = t0 + (t1 - t0) * rng_f(r);
     for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
     grid_cell hc;
     grid_find(&s->hull, x, &hc);
-    float want = 0.7f * grid_value(&s->hull, &hc, NULL);
+    float want = 0.7f * (grid_value(&s->hull, &hc, NULL) - 1.0f);
     if (want < 0.5f) return;
     sdf_point e;
     sdf_eval(s, job->c.finest, x, &e);
@@ -240,7 +266,7 @@ static void train_ray(step_job *job, int thread, rng *r)
     ray_sample *ray = job->ray[thread];
     int n = ray_march(s, c, o, d, r, ray);
     L->samples += n;
-    train_free(job, thread, r, o, d, n ? &ray[n - 1] : NULL);
+    train_free(job, thread, r, o, d);
     float W = 0;
     v8 H[2] = { { 0 } };
     for (int k = 0; k < n; k++) {
@@ -351,9 +377,14 @@ static void train_ray(step_job *job, int thread, rng *r)
         float df = carry;
         carry = 0;
         if (q->alpha > 0) {
-            df -= near * da * ratio * (1 - q->s_val) * inv_s;
-            if (q->chained) carry = near * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
+            df -= PHOTO_SHAPES * near * da * ratio * (1 - q->s_val) * inv_s;
+            if (q->chained) carry = PHOTO_SHAPES * near * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
         }
+        grid_cell hc;
+        grid_find(&s->hull, q->x, &hc);
+        float off = q->p.f - grid_value(&s->hull, &hc, NULL);
+        L->total += LAMBDA_HULL * huber(off, 2.0f);
+        df += LAMBDA_HULL * huber_slope(off, 2.0f);
         float norm = sqrtf(q->p.grad[0] * q->p.grad[0] + q->p.grad[1] * q->p.grad[1] + q->p.grad[2] * q->p.grad[2]) + 1e-6f;
         float ek = LAMBDA_EIKONAL * 2 * (norm - 1) / norm;
         L->eikonal += (norm - 1) * (norm - 1);
@@ -378,37 +409,53 @@ static void train_ray(step_job *job, int thread, rng *r)
     }
 }
 
-/* An SfM observation: the point lies on the surface, the ray to it is free before. */
-static void train_point(step_job *job, int thread, rng *r)
+/* A measured point: it lies on the surface, whose normal there is n (NULL: unknown), and the way to the camera is free. Returns |f|. */
+static float train_surface(step_job *job, int thread, rng *r, const float point[3], const float *n, const double centre[3], float lambda, float lambda_normal)
 {
     stage1 *s = job->s;
     const schedule *c = &job->c;
-    const world *w = s->w;
-    if (!w->nobs) return;
-    const world_photo *p;
-    do p = &w->photos[rng_below(r, (uint32_t)w->nphotos)]; while (!p->obs_count && w->nobs);
-    const world_obs *o = &w->obs[p->obs_begin + rng_below(r, p->obs_count)];
-    const world_point *q = &w->points[o->point];
-    for (int a = 0; a < 3; a++) if (q->x[a] < 0 || q->x[a] > (float)w->frame.dims[a]) return;
+    const int *dims = s->w->frame.dims;
+    for (int a = 0; a < 3; a++) if (!(point[a] >= 0) || point[a] > (float)dims[a]) return 0;
     sdf_point e;
-    sdf_eval(s, c->finest, q->x, &e);
-    float df = LAMBDA_POINT * q->weight * huber_slope(e.f, 2.0f);
-    job->loss[thread].points += fabsf(e.f);
-    job->loss[thread].total += LAMBDA_POINT * q->weight * huber(e.f, 2.0f);
-    sdf_back(s, thread, c->finest, &e, df, NULL);
+    sdf_eval(s, c->finest, point, &e);
+    float off = fabsf(e.f), dg[3], d[3], dist = 0, x[3];
+    job->loss[thread].total += lambda * huber(e.f, 2.0f);
+    for (int a = 0; n && a < 3; a++) {
+        dg[a] = 2 * lambda_normal * (e.grad[a] - n[a]);
+        job->loss[thread].total += lambda_normal * (e.grad[a] - n[a]) * (e.grad[a] - n[a]);
+    }
+    sdf_back(s, thread, c->finest, &e, lambda * huber_slope(e.f, 2.0f), n ? dg : NULL);
 
-    float d[3], dist = 0;
-    for (int a = 0; a < 3; a++) { d[a] = (float)p->centre[a] - q->x[a]; dist += d[a] * d[a]; }
+    for (int a = 0; a < 3; a++) { d[a] = (float)centre[a] - point[a]; dist += d[a] * d[a]; }
     dist = sqrtf(dist);
-    float t = 3.0f + (dist - 3.0f) * rng_f(r) * rng_f(r), x[3];
-    if (dist < 6) return;
-    for (int a = 0; a < 3; a++) x[a] = q->x[a] + d[a] / dist * t;
-    for (int a = 0; a < 3; a++) if (x[a] < 0 || x[a] > (float)w->frame.dims[a]) return;
+    float u = rng_f(r), t = 3.0f + (dist - 3.0f) * u * u;
+    if (dist < 6) return off;
+    for (int a = 0; a < 3; a++) x[a] = point[a] + d[a] / dist * t;
+    for (int a = 0; a < 3; a++) if (x[a] < 0 || x[a] > (float)dims[a]) return off;
     float want = fminf(0.3f * t, 2.0f * c->sigma);
     sdf_eval(s, c->finest, x, &e);
-    if (e.f >= want) return;
-    job->loss[thread].total += LAMBDA_POINT * q->weight * huber(e.f - want, 2.0f);
-    sdf_back(s, thread, c->finest, &e, LAMBDA_POINT * q->weight * huber_slope(e.f - want, 2.0f), NULL);
+    if (e.f >= want) return off;
+    job->loss[thread].total += lambda * huber(e.f - want, 2.0f);
+    sdf_back(s, thread, c->finest, &e, lambda * huber_slope(e.f - want, 2.0f), NULL);
+    return off;
+}
+
+static void train_point(step_job *job, int thread, rng *r)
+{
+    const world *w = job->s->w;
+    if (!w->nobs) return;
+    const world_photo *p;
+    do p = &w->photos[rng_below(r, (uint32_t)w->nphotos)]; while (!p->obs_count);
+    const world_point *q = &w->points[w->obs[p->obs_begin + rng_below(r, p->obs_count)].point];
+    job->loss[thread].points += train_surface(job, thread, r, q->x, NULL, p->centre, LAMBDA_POINT * q->weight, 0);
+}
+
+static void train_stereo(step_job *job, int thread, rng *r)
+{
+    const stereo *st = job->s->st;
+    if (!st || !st->npoints) return;
+    const stereo_point *q = &st->points[rng_below(r, st->npoints)];
+    train_surface(job, thread, r, q->x, q->n, job->s->w->photos[q->photo].centre, LAMBDA_STEREO * q->weight, LAMBDA_NORMAL * q->weight);
 }
 
 static void step_range(void *user, int begin, int end)
@@ -422,6 +469,7 @@ static void step_range(void *user, int begin, int end)
         for (int i = 0; i < rays; i++) {
             train_ray(job, t, &r);
             if ((i & 3) == 0) train_point(job, t, &r);
+            train_stereo(job, t, &r);
         }
     }
 }

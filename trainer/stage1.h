@@ -2,7 +2,7 @@
 #ifndef TRAINER_STAGE1_H
 #define TRAINER_STAGE1_H
 #include "trainer/grid.h"
-#include "trainer/world.h"
+#include "trainer/stereo.h"
 
 enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8 };
 
@@ -19,17 +19,20 @@ typedef struct { double photo, sky, eikonal, points, mse, transient; double samp
 
 typedef struct {
     const world *w;
+    const stereo *st;               /* NULL: none */
     stage1_options opt;
     int step, heuristics;           /* fading near cameras and weight-scaled smoothness are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
-    grid hull;                      /* the first SDF, kept: what SfM and sky have carved stays free */
+    grid hull;                      /* the first SDF, kept: the surface stays near it unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
     grid codes;                     /* per photo: appearance code 0..3, gain 4..6, bias 7..9, background 10..12 */
     grid transient;                 /* per photo, every 8 pixels: logit of alpha, RGB, beta before softplus */
 } stage1;
 
-/* Builds the hull as the first SDF; sky labels that contradict it become unknown. */
-orl_err stage1_init(stage1 *s, world *w, const stage1_options *opt);
+/* Grids of zeros, to be started or loaded. */
+orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt);
+/* The hull as the first SDF; sky labels that contradict it become unknown. st: kept, NULL if there is none. */
+orl_err stage1_start(stage1 *s, world *w, const stereo *st);
 void stage1_free(stage1 *s);
 /* One optimisation step; repeatable for seed, step and thread count. */
 void stage1_step(stage1 *s, stage1_losses *out);

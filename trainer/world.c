@@ -124,21 +124,21 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
         chi[a] = percentile(v, n2, 0.95);
     }
     free(v);
-    double ext = 0;
-    for (int a = 0; a < 2; a++) if (hi[a] - lo[a] > ext) ext = hi[a] - lo[a];
+    double side = 0, reach;
     for (int a = 0; a < 3; a++) {
         double e = hi[a] - lo[a], margin = a == 2 ? 0.12 * e : 0.15 * e;
         lo[a] -= a == 2 ? 0.04 * e : margin;
         hi[a] += margin;
-        if (a == 2) continue;
-        /* The ground before the building belongs to the picture: reach towards the cameras, but not at any price in resolution. */
-        if (clo[a] < lo[a]) lo[a] = fmax(clo[a], lo[a] - 0.5 * ext);
-        if (chi[a] > hi[a]) hi[a] = fmin(chi[a], hi[a] + 0.5 * ext);
+        side = fmax(side, hi[a] - lo[a]);
     }
-    double side = 0;
-    for (int a = 0; a < 3; a++) side = fmax(side, hi[a] - lo[a]);
     if (!(side > 0) || !isfinite(side)) return orl_fail(ORL_E_DEGENERATE, "%s: SfM points span no volume", d->dir);
     f->scale = longest / side;
+    /* The ground between cameras and building belongs to the picture. Grids are sparse, so the box may grow at the same resolution. */
+    reach = 1.2 * side;
+    for (int a = 0; a < 2; a++) {
+        if (clo[a] < lo[a]) lo[a] = fmax(clo[a] - 0.03 * side, lo[a] - reach);
+        if (chi[a] > hi[a]) hi[a] = fmin(chi[a] + 0.03 * side, hi[a] + reach);
+    }
     for (int a = 0; a < 3; a++) {
         f->dims[a] = (((int)ceil((hi[a] - lo[a]) * f->scale)) + 15) & ~15;
         if (f->dims[a] < 32) f->dims[a] = 32;

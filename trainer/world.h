@@ -45,8 +45,9 @@ void world_ray(const world_photo *p, double u, double v, float dir[3]);
 int  world_project(const world_photo *p, const float x[3], double uv[2], double *depth);
 int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1);
 
-/* First SDF from SfM rays and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
-orl_err hull_build(const world *w, int cell, int threads, float **sdf);
+struct stereo;
+/* First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
+orl_err hull_build(const world *w, const struct stereo *st, int cell, int threads, float **sdf);
 /* Pixels labelled scene whose rays miss the hull (clouds taken for stone, a background outside the box) become unknown: nothing is asked of the surface there. */
 void hull_relabel(world *w, const float *sdf, int cell, int threads);
 #endif

@@ -1,0 +1,315 @@
+#!/bin/bash
+# oriel-train end to end on a small attraction made by tests/tools/attraction.c: fit, its repeatability, kills, bad checkpoints and photos, layouts, eval, sky, masks.
+# $1: build folder (an ASan build takes a smaller run). Tools that are not here (python3, oiiotool, a mountable tmpfs) are named and their part left out.
+set -u
+B=${1:-build/host}
+T=$B/oriel-train
+seed=${SEED:-$RANDOM}
+RANDOM=$seed
+W=$(mktemp -d)
+trap 'umount "$W/disk" 2>/dev/null; rm -rf "$W"' EXIT
+bad=0
+fail() { echo "train.sh: $* (SEED=$seed)"; bad=1; }
+
+# quiet FILE: standard error without fit's progress
+quiet() { grep -vE '^\[[#.]{20}\] |^[^:]*: [0-9]+ photos, [0-9]+ points, box |^(stereo|surface): |: [0-9.]+ MB, [0-9]+ bricks, ' "$1"; }
+
+# expect CODE PATTERN COMMAND...: exit code, and one line on standard error (progress aside) that matches
+expect() {
+    local code=$1 pattern=$2 got lines
+    shift 2
+    "$@" >"$W/out" 2>"$W/err"
+    got=$?
+    lines=$(quiet "$W/err" | wc -l)
+    [ $got = "$code" ] || fail "exit $got, not $code: $* ($(head -c 300 "$W/err"))"
+    [ "$lines" = 1 ] || fail "$lines lines, not 1, on standard error: $*: $(head -c 300 "$W/err")"
+    quiet "$W/err" | grep -q -- "$pattern" || fail "no '$pattern' from $*: $(head -c 300 "$W/err")"
+}
+
+# json FILE KEY...: valid JSON with these keys; a.b is b within a
+json() {
+    local file=$1 key
+    shift
+    if command -v python3 >/dev/null; then
+        python3 - "$file" "$@" <<'END' || fail "${file##*/}: $(head -c 300 "$file")"
+import json, math, sys
+whole = json.load(open(sys.argv[1]))
+for key in sys.argv[2:]:
+    part = whole
+    for name in key.split('.'):
+        part = part[int(name) if isinstance(part, list) else name]
+    if isinstance(part, float) and not math.isfinite(part):
+        sys.exit(key + ' is not finite')
+END
+    else
+        for key in "$@"; do grep -q "\"${key##*.}\": " "$file" || fail "no $key in ${file##*/}"; done
+    fi
+}
+
+for format in jpeg png exr; do
+    "$B/oriel" --version | grep '^images:' | grep -q $format || { echo "train.sh: skipped, built without ${format^^}"; exit 77; }
+done
+photos=6 width=128 steps=200 rounds=12
+case $B in *-san) photos=6 width=96 steps=60 rounds=6 ;; esac
+# place, other: two photo collections of one place, the first with sky masks
+mkdir "$W/other" "$W/imc" "$W/disk"
+place=$W/place other=$W/other/place
+"$B/tools/attraction" --photos=$photos --tests=2 --width=$width --frames=0 --points=1200 --masks "$place" >"$W/out" || exit 1
+mv "$place/gt/masks" "$place/masks"
+"$B/tools/attraction" --photos=$photos --tests=0 --width=$width --frames=0 --points=1200 --seed=2 "$other" >"$W/out" || exit 1
+size="--preset demo --cells 64 --threads 2 --steps $steps --rounds $rounds"
+# fit FILE [OPTION]...: place, into $W/FILE.oriel
+fit() { local file=$1; shift; "$T" fit "$place" -o "$W/$file.oriel" $size "$@"; }
+same() { cmp -s "$W/$1.oriel" "$W/$2.oriel"; }
+
+# fit: figures, a scene that oriel reads, a checkpoint; once more the same bytes; another seed, others
+fit ref --json >"$W/fit.json" 2>"$W/err" || fail "fit: $(tail -3 "$W/err")"
+json "$W/fit.json" seconds cpu_seconds samples_per_core_second peak_bytes scene_bytes
+[ -s "$W/ref.oriel.ckpt" ] || fail "no checkpoint"
+"$B/oriel" info "$W/ref.oriel" >"$W/info" || fail "info"
+grep -q "ref.oriel: place, $(stat -c %s "$W/ref.oriel") bytes" "$W/info" && grep -q "codes  *$photos training photos" "$W/info" || fail "info: $(cat "$W/info")"
+grep -q "\"scene_bytes\": $(stat -c %s "$W/ref.oriel")[,}]" "$W/fit.json" || fail "scene_bytes: $(cat "$W/fit.json")"
+fit again >/dev/null 2>"$W/err" || fail "fit again: $(tail -3 "$W/err")"
+same ref again || fail "the same fit twice: other bytes"
+fit seed --seed 2 >/dev/null 2>"$W/err" || fail "fit --seed 2: $(tail -3 "$W/err")"
+same ref seed && fail "--seed 2 changes nothing"
+
+# killed PHASE N: the run from the last phase's checkpoint on, killed once N checkpoints of this phase (0 stereo, 1 and 2 the stages) were seen; there is a checkpoint after every step,
+# so that the kill often meets a half written one. A kill that comes too late is tried again.
+phase() { od -An -tu4 -j8 -N4 "$1" 2>/dev/null | tr -d ' '; }
+killed() {
+    local want=$1 ckpt=$W/killed.oriel.ckpt left seen now pid try resume=
+    for try in 1 2 3 4 5; do
+        rm -f "$ckpt" "$W/killed.oriel"
+        [ "$want" = 0 ] || { resume=--resume; cp "$W/phase$((want - 1))" "$ckpt"; }
+        left=$2 seen=$(stat -c %y "$ckpt" 2>/dev/null)
+        "$T" fit "$place" -o "$W/killed.oriel" $size --checkpoint-seconds 0 $resume >/dev/null 2>"$W/err" &
+        pid=$!
+        while [ "$left" -gt 0 ] && kill -0 $pid 2>/dev/null; do
+            now=$(stat -c %y "$ckpt" 2>/dev/null)
+            if [ "$now" != "$seen" ] && [ "$(phase "$ckpt")" = "$want" ]; then seen=$now left=$((left - 1)); fi
+            sleep 0.00$((RANDOM % 10))
+        done
+        sleep 0.0$((RANDOM % 10))
+        kill -9 $pid 2>/dev/null
+        wait $pid 2>/dev/null
+        [ "$left" = 0 ] && [ "$(phase "$ckpt")" = "$want" ] && { cp "$ckpt" "$W/phase$want"; return; }
+    done
+    fail "phase $want was not met by a kill: the checkpoint is of phase $(phase "$ckpt"), $(tail -2 "$W/err")"
+    exit 1
+}
+killed 0 $((1 + RANDOM % 3))
+killed 1 $((1 + RANDOM % (steps / 6)))
+killed 2 $((1 + RANDOM % (rounds / 2)))
+fit killed --resume >/dev/null 2>"$W/err" || fail "fit --resume: $(tail -3 "$W/err")"
+same ref killed || fail "killed in stereo, stage 1 and stage 2, then resumed: other bytes than the unbroken run"
+[ "$(cd "$W" && ls killed*)" = $'killed.oriel\nkilled.oriel.ckpt' ] || fail "a kill left behind: $(ls "$W" | grep killed)"
+# a finished run, resumed, writes its scene again; its geometry alone gives it as well
+rm "$W/killed.oriel"
+fit killed --resume --json >"$W/fit.json" 2>"$W/err" || fail "--resume of a finished run: $(tail -3 "$W/err")"
+json "$W/fit.json" seconds scene_bytes
+same ref killed || fail "--resume of a finished run: other bytes"
+fit again --stage2 >/dev/null 2>"$W/err" || fail "fit --stage2: $(tail -3 "$W/err")"
+same ref again || fail "--stage2: other bytes than the run whose geometry it takes"
+
+# bad checkpoints: one line that names the file, no scene
+resume() { # PATTERN SCENE [OPTION]...
+    expect 1 "$1" "$T" fit "$2" -o "$W/bad.oriel" $size --resume "${@:3}"
+    [ -e "$W/bad.oriel" ] && { fail "a scene from a bad checkpoint ($1)"; rm "$W/bad.oriel"; }
+}
+ckpt=$W/bad.oriel.ckpt
+resume 'bad.oriel.ckpt' "$place"
+head -c 79 "$W/phase2" >"$ckpt"
+resume 'bad.oriel.ckpt: not a checkpoint' "$place"
+cp "$place/photos/train_000.jpg" "$ckpt"
+resume 'bad.oriel.ckpt: not a checkpoint' "$place"
+for p in 0 1 2; do
+    whole=$(stat -c %s "$W/phase$p")
+    for bytes in 80 $((whole / 3)) $((whole - 1)); do
+        head -c "$bytes" "$W/phase$p" >"$ckpt"
+        resume 'bad.oriel.ckpt: ' "$place"
+    done
+    { head -c 80 "$W/phase$p"; cat "$place"/photos/*.jpg; } >"$ckpt"
+    resume 'bad.oriel.ckpt: ' "$place"
+done
+for at in 8 20 36 40; do                        # header: phase, rays, threads, photos
+    cp "$W/phase1" "$ckpt"
+    printf '\377\377\377\377' | dd of="$ckpt" bs=1 seek=$at conv=notrunc status=none
+    resume 'bad.oriel.ckpt: not a checkpoint' "$place"
+done
+cp "$W/phase2" "$ckpt"
+resume 'bad.oriel.ckpt: made from other photos' "$other"
+cp -r "$place" "$W/swapped"                     # the same box and cameras, but two photos have changed places
+sed -i 's/train_000\.jpg/x/; s/train_002\.jpg/train_000.jpg/; s/ x$/ train_002.jpg/' "$W/swapped/sparse/0/images.txt"
+cp "$W/phase1" "$ckpt"
+resume 'bad.oriel.ckpt: made from other photos' "$W/swapped"
+cp "$W/phase1" "$ckpt"
+expect 1 'bad.oriel.ckpt: stage 1 has not finished' "$T" fit "$place" -o "$W/bad.oriel" $size --stage2
+cp "$W/ref.oriel.ckpt" "$ckpt"
+truncate -s -1 "$ckpt"
+resume 'bad.oriel.ckpt: ' "$place"
+expect 1 'phase1: training has not finished' "$T" eval "$place" --scene "$W/ref.oriel" --checkpoint "$W/phase1"
+
+# a full disk: one line that names the file, what was there stays, nothing is left over
+full() { # FOLDER REASON COMMAND...
+    local dir=$1 reason=$2
+    expect 1 "d.oriel[.ckpt]*: $reason" "${@:3}"
+    cmp -s "$W/phase1" "$dir/d.oriel.ckpt" || fail "$reason: the earlier checkpoint has changed"
+    [ "$(ls "$dir")" = d.oriel.ckpt ] || fail "$reason: left behind: $(ls "$dir")"
+}
+limited() { (ulimit -f "$1"; "${@:2}"); }
+bytes=$(stat -c %s "$W/phase1")
+if [ "$(id -u)" = 0 ] && mount -t tmpfs -o size=$((bytes * 3 / 2)) tmpfs "$W/disk" 2>/dev/null; then
+    cp "$W/phase1" "$W/disk/d.oriel.ckpt"
+    full "$W/disk" 'No space left' "$T" fit "$place" -o "$W/disk/d.oriel" --resume --checkpoint-seconds 0
+    umount "$W/disk"
+else
+    echo "train.sh: no tmpfs can be mounted here: the full disk is a file size limit only"
+fi
+mkdir "$W/limit"
+cp "$W/phase1" "$W/limit/d.oriel.ckpt"
+full "$W/limit" 'File too large' limited $((bytes / 1024 / 2)) "$T" fit "$place" -o "$W/limit/d.oriel" --resume --checkpoint-seconds 0
+cp "$W/ref.oriel" "$W/limit/d.oriel"
+cp "$W/ref.oriel.ckpt" "$W/limit/d.oriel.ckpt"
+expect 1 'd.oriel: File too large' limited 100 "$T" fit "$place" -o "$W/limit/d.oriel" --resume
+cmp -s "$W/ref.oriel" "$W/limit/d.oriel" && cmp -s "$W/ref.oriel.ckpt" "$W/limit/d.oriel.ckpt" || fail "the earlier scene or checkpoint has changed"
+[ "$(ls "$W/limit")" = $'d.oriel\nd.oriel.ckpt' ] || fail "left behind: $(ls "$W/limit")"
+expect 1 'nowhere/x.oriel' "$T" fit "$place" -o "$W/nowhere/x.oriel" --resume
+if [ -e /dev/full ]; then
+    "$T" masks "$place" --json >/dev/full 2>"$W/err" && fail "masks to a full disk: exit 0"
+    "$T" fit --help >/dev/full 2>"$W/err" && fail "--help to a full disk: exit 0"
+fi
+
+# photos and folders that are broken
+short="--preset demo --cells 64 --threads 2 --steps 5 --rounds 1"
+broken=$W/'a "broken" place'                      # a name that JSON must escape
+cp -r "$place" "$broken"
+echo 'no photo' >"$broken/photos/train_003.jpg"
+echo 'no photo' >"$broken/photos/test_000.jpg"
+expect 0 'train_003.jpg' "$T" fit "$broken" -o "$W/x.oriel" $short --no-masks --json
+json "$W/out" scene bricks
+"$B/oriel" info "$W/x.oriel" | grep -q "codes  *$((photos - 1)) training photos" || fail "a broken photo: $("$B/oriel" info "$W/x.oriel" | tail -1)"
+expect 0 'test_000.jpg' "$T" eval "$broken" --scene "$W/ref.oriel" --json
+json "$W/out" mean.fixed.psnr
+"$T" masks "$broken" >"$W/out" 2>"$W/err"
+[ $? = 1 ] && [ "$(grep -c 'place/photos/.*does not decode' "$W/err")" = 2 ] && grep -q train_004.jpg "$W/out" || fail "masks with broken photos: $(cat "$W/err")"
+rm "$W/x.oriel" "$W/x.oriel.ckpt"
+for f in "$broken"/photos/*; do echo 'no photo' >"$f"; done
+"$T" fit "$broken" -o "$W/x.oriel" $short >"$W/out" 2>"$W/err"
+[ $? = 1 ] && [ "$(wc -l <"$W/err")" = $((photos + 1)) ] && tail -1 "$W/err" | grep -q 'place: .*photos' || fail "all photos broken: $(cat "$W/err")"
+rm -r "$broken/sparse"
+expect 1 'place: no COLMAP model' "$T" fit "$broken" -o "$W/x.oriel" $short
+mkdir -p "$broken/sparse/0"
+cp "$place/photos/train_000.jpg" "$broken/sparse/0/cameras.txt"
+expect 1 'place/sparse/0' "$T" fit "$broken" -o "$W/x.oriel" $short
+rm -r "$broken/photos"
+expect 1 'place: no photos' "$T" fit "$broken" -o "$W/x.oriel" $short
+expect 1 'nothing: no such folder' "$T" fit "$W/nothing" -o "$W/x.oriel" $short
+expect 1 'nothing: no such folder' "$T" eval "$W/nothing" --baselines-only
+expect 1 'nothing: no such folder' "$T" masks "$W/nothing"
+expect 1 'photo.jpg' "$T" fit "$place" -o "$W/x.oriel" $short --sky "$W/photo.jpg"
+ls "$W"/x.oriel* >/dev/null 2>&1 && fail "a failed fit left $(ls "$W"/x.oriel*)"
+
+# IMC-PT's layout: one model with the test photos in it (here with sightings, which must not count), NeRF-W's table; the test photos cannot train, for they are not photos yet
+imc=$W/imc/place
+mkdir -p "$imc/dense/sparse"
+cp -r "$place/photos" "$imc/dense/images"
+cp -r "$place/masks" "$imc"
+for f in "$imc"/dense/images/test_*; do echo 'no photo' >"$f"; done
+cp "$place/sparse/0/points3D.txt" "$imc/dense/sparse"
+{ cat "$place/sparse/0/cameras.txt"; awk '!/^#/ { $1 += 1000; print }' "$place/sparse_test/0/cameras.txt"; } >"$imc/dense/sparse/cameras.txt"
+{ cat "$place/sparse/0/images.txt"
+  awk '/^#/ { next } NF > 8 { $1 += 1000; $9 += 1000; print; print "10 20 1 30 40 2 50 60 3 70 80 4" }' "$place/sparse_test/0/images.txt"; } >"$imc/dense/sparse/images.txt"
+cp "$place/split.tsv" "$imc/attraction.tsv"
+"$T" fit "$imc" -o "$W/imc.oriel" $size >/dev/null 2>"$W/err" || fail "IMC-PT's layout: $(tail -3 "$W/err")"
+same ref imc || fail "IMC-PT's layout: another scene"
+
+# eval: all columns; the same figures from either layout
+"$T" eval "$place" --scene "$W/ref.oriel" --json --out "$W/sheets" >"$W/eval.json" 2>"$W/err" || fail "eval: $(cat "$W/err")"
+keys=(protocol photos.0.name photos.1.name)
+for column in fixed float row_mean nearest_warp median_warp; do
+    for figure in psnr ssim flip; do keys+=("mean.$column.$figure" "mean_full.$column.$figure" "photos.0.$column.$figure"); done
+done
+json "$W/eval.json" "${keys[@]}"
+cp "$place"/photos/test_* "$imc/dense/images"
+"$T" eval "$imc" --scene "$W/imc.oriel" --json >"$W/imc.json" 2>"$W/err" || fail "eval of IMC-PT's layout: $(cat "$W/err")"
+cmp -s "$W/eval.json" "$W/imc.json" || fail "eval of IMC-PT's layout: $(cat "$W/imc.json")"
+"$T" eval "$place" --scene "$W/ref.oriel" --geometry --json >"$W/geometry.json" 2>"$W/err" || fail "eval --geometry: $(cat "$W/err")"
+json "$W/geometry.json" depth_median_rel normal_mean_deg sky_covered
+"$T" eval "$place" --baselines-only --limit 1 --json >"$W/base.json" 2>"$W/err" || fail "eval --baselines-only: $(cat "$W/err")"
+json "$W/base.json" mean.median_warp.psnr
+# what is scored cannot be seen: the right half painted over (in PNG: nothing bleeds), no pixel of a prediction changes; painting on the left changes them
+if command -v oiiotool >/dev/null; then
+    for copy in plain right left; do
+        mkdir -p "$W/$copy"
+        cp -r "$place/sparse" "$place/sparse_test" "$place/split.tsv" "$W/$copy"
+        sed -i 's/test_000\.jpg/test_000.png/' "$W/$copy"/split.tsv "$W/$copy"/sparse_test/0/images.txt
+        cp -r "$place/photos" "$W/$copy"
+        rm "$W/$copy/photos/test_000.jpg"
+        read -r w h <<<"$(oiiotool --info "$place/photos/test_000.jpg" | sed -E 's/.*: *([0-9]+) x +([0-9]+),.*/\1 \2/')"
+        half=$((w / 2))
+        case $copy in plain) box= ;; right) box="--fill:color=1,0,0.7 $((w - half))x$h+$half+0" ;; left) box="--fill:color=1,0,0.7 10x$h+$((half - 10))+0" ;; esac
+        oiiotool "$place/photos/test_000.jpg" $box -o "$W/$copy/photos/test_000.png" 2>"$W/err" || fail "oiiotool: $(cat "$W/err")"
+        "$T" eval "$W/$copy" --scene "$W/ref.oriel" --photo test_000.png --out "$W/$copy/sheets" >"$W/out" 2>"$W/err" || fail "eval: $(cat "$W/err")"
+        diff() { oiiotool "$W/plain/sheets/test_000.png" --cut "$1" "$W/$copy/sheets/test_000.png" --cut "$1" --diff 2>&1 | grep -oE 'PASS|FAILURE'; }
+        if [ $copy = right ]; then
+            [ "$(diff "${w}x$h+0+0")" = FAILURE ] || fail "eval's sheet does not show the photo"
+            [ "$(diff "$((5 * (w + 4) - 4))x$h+$((w + 4))+0")" = PASS ] || fail "eval saw the right half"
+        elif [ $copy = left ]; then
+            for column in 1 2 3 4 5; do         # fixed, float, row_mean, nearest_warp, median_warp
+                [ "$(diff "${w}x$h+$((column * (w + 4)))+0")" = FAILURE ] || fail "column $column of eval did not see the left half"
+            done
+        fi
+    done
+else
+    echo "train.sh: no oiiotool here: the check that eval cannot see what it scores left out"
+fi
+
+# masks: beside given ones, and as pictures
+expect 1 'no masks to check against' "$T" masks "$other" --check
+"$T" masks "$place" --check --json -o "$W/masks" >"$W/masks.json" 2>"$W/err" || fail "masks --check: $(cat "$W/err")"
+json "$W/masks.json" photos.0.sure.iou mean.sure.precision mean.sure.recall mean.likely.iou
+[ "$(ls "$W/masks" | wc -l)" = $((photos + 2)) ] || fail "masks -o wrote $(ls "$W/masks")"
+if command -v python3 >/dev/null; then
+    python3 -c 'import json, sys; m = json.load(open(sys.argv[1]))["mean"]["likely"]; sys.exit(m["iou"] < 0.85)' "$W/masks.json" || fail "masks: $(tail -c 300 "$W/masks.json")"
+fi
+
+# sky: no panorama, a broken one, two of the real ones
+mkdir "$W/sky"
+expect 1 'sky: no .hdr or .exr' "$T" sky "$W/sky" -o "$W/sky.oriel"
+expect 1 'nothing: no such' "$T" sky "$W/nothing" -o "$W/sky.oriel"
+echo 'no panorama' >"$W/sky/broken.hdr"
+"$T" sky "$W/sky" -o "$W/sky.oriel" >"$W/out" 2>"$W/err"
+[ $? = 1 ] && grep -q 'broken.hdr' "$W/err" && [ ! -e "$W/sky.oriel" ] || fail "sky of a broken panorama: $(cat "$W/err")"
+if ls ../shared/data/sky/*.hdr >/dev/null 2>&1; then
+    cp ../shared/data/sky/{noon_grass_1k,pmndrs_sky}.hdr "$W/sky"
+    "$T" sky "$W/sky" -o "$W/sky.oriel" --json >"$W/sky.json" 2>"$W/err" || fail "sky: $(cat "$W/err")"
+    grep -q 'left out: .*broken.hdr' "$W/err" || fail "sky: the broken panorama is not named: $(cat "$W/err")"
+    json "$W/sky.json" panoramas held_out rms bytes
+    "$B/oriel" info "$W/sky.oriel" | grep -q SKYD || fail "info of a sky"
+    "$T" fit "$place" -o "$W/x.oriel" $short --sky "$W/sky.oriel" >/dev/null 2>"$W/err" || fail "fit --sky: $(tail -3 "$W/err")"
+else
+    echo "train.sh: no ../shared/data/sky here: real panoramas left out"
+fi
+
+# usage: 2
+for c in fit eval sky masks; do
+    "$T" $c --help >"$W/out" 2>"$W/err" && [ ! -s "$W/err" ] && grep -qi "usage: oriel-train $c" "$W/out" || fail "$c --help"
+    "$T" $c --frobnicate >"$W/out" 2>"$W/err"
+    [ $? = 2 ] && [ ! -s "$W/out" ] && grep -q -- "--frobnicate" "$W/err" || fail "$c --frobnicate"
+done
+"$T" fit --help | grep -q -- --checkpoint-seconds || fail "fit --help"
+"$T" fit "$place" >"$W/out" 2>"$W/err"
+[ $? = 2 ] || fail "fit without -o"
+"$T" sky "$W/sky" >"$W/out" 2>"$W/err"
+[ $? = 2 ] || fail "sky without -o"
+expect 2 'no such command' "$T" frobnicate
+expect 2 'demo, quick, standard or full' "$T" fit "$place" -o "$W/x.oriel" --preset huge
+for o in "--steps 1.5" "--rounds x" "--cells 63" "--seed -1" "--time-budget nan"; do
+    expect 2 "${o#* } is out of range" "$T" fit "$place" -o "$W/x.oriel" $o
+done
+expect 2 'scene' "$T" eval "$place"
+expect 2 'range' "$T" eval "$place" --scene "$W/ref.oriel" --limit x
+"$T" >"$W/out" 2>"$W/err"
+[ $? = 2 ] && [ ! -s "$W/out" ] || fail "no command: not exit 2"
+exit $bad

@@ -1,0 +1,34 @@
+/* Dense oriented points by multi-view stereo: where a photo's patch is found again in other photos, whatever their light. */
+#ifndef TRAINER_STEREO_H
+#define TRAINER_STEREO_H
+#include <stdio.h>
+#include "trainer/world.h"
+
+typedef struct {
+    float x[3], n[3];               /* grid frame; unit normal, towards the photo */
+    uint32_t photo;                 /* whose pixel it is: the way from its centre is free */
+    float weight;                   /* 0..1: how many photos agree, and how well the patches match */
+} stereo_point;
+
+typedef struct stereo {
+    stereo_point *points; uint32_t npoints;
+    uint32_t *begin;                /* points of photo k: [begin[k], begin[k + 1]) */
+} stereo;
+
+/* PatchMatch stereo over the training photos at their training size, one photo a step. Repeatable for a seed, whatever the thread count. A scene without a pair of photos that see the same
+ * points yields none. */
+typedef struct stereo_work stereo_work;
+orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **out);    /* ORL_E_MEMORY */
+int stereo_step(stereo_work *s);                /* 0: nothing was left to do */
+double stereo_progress(const stereo_work *s);   /* 0..1 */
+orl_err stereo_finish(const stereo_work *s, stereo *out);
+void stereo_end(stereo_work *s);                /* NULL is fine */
+/* Depth maps on the way. Only where stereo_can_save says so: between the passes that need all maps at once, or within the first. */
+int stereo_can_save(const stereo_work *s);
+orl_err stereo_work_save(const stereo_work *s, FILE *f);
+orl_err stereo_work_load(stereo_work *s, FILE *f, const char *path);
+
+orl_err stereo_save(const stereo *s, FILE *f);
+orl_err stereo_load(stereo *s, const world *w, FILE *f, const char *path);
+void stereo_free(stereo *s);
+#endif
