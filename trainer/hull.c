@@ -162,9 +162,10 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
     int mx = (int)(uv[0] * DW / p->w), my = (int)(uv[1] * DH / p->h), level = m->level[my][mx];
     if (measured || m->inv[my][mx] <= 0) return;
     /* The farther the depth was carried, the less it says and the farther from it a voxel must be. */
-    static const float SAY[LEVELS] = { 0.3f, 0.2f, 0.15f, 0.1f, 0.07f, 0.05f, 0.05f, 0.05f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.98f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
-    if ((float)depth < NEAR[level] / m->inv[my][mx] - (float)j->cell) say(SAY[level], SPAN, sum);
-    else say(SAY_BEHIND, -SPAN, sum);
+    static const float SAY[LEVELS] = { 0.3f, 0.2f, 0.1f, 0.06f, 0.04f, 0.03f, 0.02f, 0.02f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.98f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
+    float surface = 1.0f / m->inv[my][mx];
+    if ((float)depth < NEAR[level] * surface - (float)j->cell) say(SAY[level], SPAN, sum);
+    else say(level <= 3 && (float)depth < 1.03f * surface + SPAN ? 0.5f * SAY[level] : SAY_BEHIND, -SPAN, sum);
 }
 
 static void carve_range(void *user, int begin, int end)

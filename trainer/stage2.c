@@ -44,7 +44,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         stage1_colour(s1, k, h.x, teacher);
         for (int a = 0; a < 3; a++) diff += fabsf(teacher[a] - q->rgb[a] / 255.0f);
         q->weight = 255;
-        if (at > 0.5f || diff > 0.9f) {
+        if (at > 0.5f || diff > 0.6f) {
             for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
             q->weight = 64;
         }

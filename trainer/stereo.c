@@ -2,7 +2,7 @@
  * perturbed; a plane's cost is the weighted normalised cross-correlation of the patch that it induces in the best few of the photo's companions. The correlation does not see gain and offset,
  * so photos of any light and filter take part. Coarse to fine; a last pass asks that the companions' planes agree; what is not confirmed is dropped.
  *
- * Patches are WINDOW samples, weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
+ * Patches are WINDOW samples (the black fields of 7 x 7), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
  * Red pixels read black ones only and companions' maps are frozen during a pass: results do not depend on threads. */
 #include "trainer/stereo.h"
 #include <math.h>
@@ -11,7 +11,7 @@
 #include "oriel/parallel.h"
 #include "trainer/grid.h"
 
-enum { LEVELS = 3, COMPANIONS = 8, TRUSTED = 4, BEST = 3, GEOMETRIC = 2, RADIUS = 4, STRIDE = 2, WINDOW = 25, PADDED = 32 };
+enum { LEVELS = 3, COMPANIONS = 8, TRUSTED = 4, BEST = 3, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 3, WINDOW = 25, PADDED = 32 };
 #define COST_MAX 2.0f           /* 1 - correlation */
 #define COST_KEEP 0.6f
 #define GEOMETRY 0.15f          /* cost of a pixel of disagreement, 3 pixels at most */
@@ -227,11 +227,11 @@ static float OFFSET_X[PADDED] __attribute__((aligned(64))), OFFSET_Y[PADDED] __a
 static void tables_make(void)
 {
     for (int i = 0; i < WINDOW; i++) {
-        OFFSET_X[i] = (float)(i % 5 * STRIDE - RADIUS);
-        OFFSET_Y[i] = (float)(i / 5 * STRIDE - RADIUS);
+        OFFSET_X[i] = (float)(2 * i % 7 - RADIUS);
+        OFFSET_Y[i] = (float)(2 * i / 7 - RADIUS);
         NEARNESS[i] = expf(-(OFFSET_X[i] * OFFSET_X[i] + OFFSET_Y[i] * OFFSET_Y[i]) / (2 * RADIUS * RADIUS));
     }
-    for (int i = 0; i < 256; i++) LIKENESS[i] = expf(-(float)i / 14.0f);
+    for (int i = 0; i < 256; i++) LIKENESS[i] = i < 45 ? expf(-(float)i / 12.0f) : 0;
 }
 
 static void patch_make(const picture *p, int x, int y, patch *out)
@@ -426,8 +426,14 @@ static void spread_rows(void *user, int begin, int end)
             int coarse = j->level == LEVELS - 1;            /* planes are still wild: ask everyone, look far */
             float cost = j->pass == 0 || !coarse ? plane_cost(j, &pt, fx, fy, best, &ask, !coarse) : s->cost[at];
             if (!coarse) jury_trust(&ask);
-            for (int k = 0; k < (coarse ? 8 : 4); k++) {
+            for (int k = 0; k < (coarse ? 8 : 4 + FAR_TRIES); k++) {
                 int u = x + NEAR[k][0], v = y + NEAR[k][1];
+                if (!coarse && k >= 4) {        /* a plane that shows between columns shows again between the next two */
+                    int reach = p->w / 10;
+                    u = x + (int)rng_below(&r, (uint32_t)(2 * reach + 1)) - reach;
+                    v = y + (int)rng_below(&r, (uint32_t)(2 * reach + 1)) - reach;
+                    if (((u ^ v ^ x ^ y) & 1) == 0) v++;    /* the other colour */
+                }
                 if (u < 0 || v < 0 || u >= p->w || v >= p->h) continue;
                 const plane *o = &s->map[v * p->w + u];
                 if (o->z <= 0) continue;
@@ -597,7 +603,7 @@ orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **o
 
 int stereo_step(stereo_work *j)
 {
-    static const int PASSES[LEVELS] = { 2, 3, 6 };
+    static const int PASSES[LEVELS] = { 3, 3, 6 };
     int n = j->w->nphotos, round = j->unit / n;
     if (round > GEOMETRIC) return 0;
     shot *s = &j->shots[j->k = j->unit % n];

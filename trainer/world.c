@@ -140,7 +140,7 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
         if (chi[a] > hi[a]) hi[a] = fmin(chi[a] + 0.03 * side, hi[a] + reach);
     }
     for (int a = 0; a < 3; a++) {
-        f->dims[a] = (((int)ceil((hi[a] - lo[a]) * f->scale)) + 15) & ~15;
+        f->dims[a] = ((int)ceil((hi[a] - lo[a]) * f->scale - 1e-6) + 15) & ~15;
         if (f->dims[a] < 32) f->dims[a] = 32;
         f->offset[a] = 0.5 * f->dims[a] - 0.5 * (lo[a] + hi[a]) * f->scale;
     }
