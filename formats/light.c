@@ -265,7 +265,7 @@ static void shade_surface(const orl_light *l, const orl_sample *o, surface *r)
     r->cosine = d > 0 ? d : 0;
     r->below = 0.5f * (1 - o->normal[2]);
     for (int c = 0; c < 3; c++) {
-        r->irr[c] = r->s * r->vis * l->sun_rgb[c] * r->cosine + o->open * sky[c] + r->below * l->eground[c];
+        r->irr[c] = r->s * (r->vis * l->sun_rgb[c] * r->cosine + o->open * sky[c] + r->below * l->eground[c]);
         linear[c] = o->albedo[c] * (1 / PI) * r->irr[c];
     }
     encode(linear, r->e, r->slope);
@@ -329,17 +329,17 @@ static void surface_jac(const orl_light *l, const orl_light_jac *jl, const orl_s
     footprint f1 = oct_footprint(fwd), f0 = oct_footprint(back);
     fetch((const float (*)[3])l->esky, &f1, e1);
     fetch((const float (*)[3])l->esky, &f0, e0);
-    float lobe = r->s * r->vis * r->cosine, shadow = r->s * (1 - r->s) * r->vis * r->cosine;
+    float lobe = r->vis * r->cosine;
     float dz[ORL_ENV_DIM][3];
     for (int k = 0; k < ORL_ENV_DIM; k++) fetch((const float (*)[3])jl->desky[k], &r->f, dz[k]);
     for (int c = 0; c < 3; c++) {
-        float g = o->cov * r->slope[c] * o->albedo[c] * (1 / PI), E = l->sun_rgb[c];
-        P[c][ORL_C_SUN_AZ] = g * (r->s * E * (r->vis_az * r->cosine + r->vis * cos_az) + o->open * (e1[c] - e0[c]) * (0.5f / h));
-        P[c][ORL_C_SUN_EL] = g * (r->s * E * (r->vis_el * r->cosine + r->vis * cos_el) + r->below * ground[c] * E * up_el);
+        float g = o->cov * r->slope[c] * o->albedo[c] * (1 / PI) * r->s, E = l->sun_rgb[c];
+        P[c][ORL_C_SUN_AZ] = g * (E * (r->vis_az * r->cosine + r->vis * cos_az) + o->open * (e1[c] - e0[c]) * (0.5f / h));
+        P[c][ORL_C_SUN_EL] = g * (E * (r->vis_el * r->cosine + r->vis * cos_el) + r->below * ground[c] * E * up_el);
         float lit = l->code[ORL_C_SUN_RGB + c];
         if (lit > -12 && lit < 12) P[c][ORL_C_SUN_RGB + c] = g * E * (lobe + r->below * ground[c] * up);
         for (int k = 0; k < ORL_ENV_DIM; k++) P[c][ORL_C_ENV + k] = g * (o->open * dz[k][c] + r->below * jl->dground[k][c]);
-        for (int k = 0; k < ORL_SHADOW_DIM; k++) P[c][ORL_C_SHADOW + k] = g * E * shadow * o->phi[k];
+        for (int k = 0; k < ORL_SHADOW_DIM; k++) P[c][ORL_C_SHADOW + k] = o->cov * r->slope[c] * o->albedo[c] * (1 / PI) * (1 - r->s) * r->irr[c] * o->phi[k];
     }
 }
 
@@ -384,10 +384,10 @@ void orl_light_shade_back(const orl_light_model *m, const orl_light *l, const or
         for (int c = 0; c < 3; c++) {
             float d_linear = s->cov * d_p[c] * r.slope[c] * (1 / PI), d_irr = d_linear * s->albedo[c];
             if (d_albedo) d_albedo[c] += d_linear * r.irr[c];
-            if (d_ground) d_ground[c] += d_irr * r.below * up[c];
-            lobe += d_irr * l->sun_rgb[c];
+            if (d_ground) d_ground[c] += d_irr * r.s * r.below * up[c];
+            lobe += d_irr * r.irr[c];
         }
-        lobe *= r.vis * r.cosine * r.s * (1 - r.s);
+        lobe *= 1 - r.s;
         if (d_phi) for (int k = 0; k < ORL_SHADOW_DIM; k++) d_phi[k] += lobe * l->code[ORL_C_SHADOW + k];
     }
     if (s->cov < 1 && d_sky_m) {

@@ -17,7 +17,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define BETA_MIN 0.06f
 
 /* Weights of the loss terms; the photometric one is scaled so that it is the plain squared error where no transient is. */
-#define PHOTO_SHAPES 0.1f        /* share of the photometric and sky gradients that moves the surface: light differs from photo to photo, and its noise is not shape */
+#define PHOTO_SHAPES 0.2f        /* share of the photometric and sky gradients that moves the surface: light differs from photo to photo, and its noise is not shape */
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_EIKONAL 0.01f
 #define LAMBDA_SMOOTH 0.03f

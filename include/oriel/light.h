@@ -13,7 +13,7 @@
  *   E_ground(n) = ground * (E_sky(up) + E_sun(up)) * (1 - n_z) / 2
  *   s           = sigmoid(ORL_SHADOW_BIAS + sum_k l_s[k] phi_k)
  *   V           = smoothstep((elevation_sun - horizon(azimuth_sun)) / ORL_SUN_SOFT + 0.5), horizon linear between 16 azimuths i * 2 pi / 16
- *   c           = albedo / pi * (s V E_sun + open E_sky + E_ground)            linear
+ *   c           = albedo / pi * s (V E_sun + open E_sky + E_ground)            linear; s = 0.73 where neither code nor features speak, so that it can brighten and darken
  *   e           = encode(c), the sRGB transfer extended above 1 by its own power law, argument clamped to [0, ORL_LINEAR_MAX]
  *   sky         e_sky(v) = sum_j q_j M_j Y(v_rel), q = (1, sun elevation, z[8], own[4]), M_j 3 x 9, Y = (1, x, y, z, xy, yz, zx, x^2 - y^2, 3 z^2 - 1), v_rel = v turned by -sun azimuth about z
  *   pixel       rgb = (I + A') (cov * e + (1 - cov) * e_sky) + b                 display-referred, NOT clamped
@@ -31,7 +31,7 @@ enum {
     ORL_OCT = 16, ORL_HORIZON = 16,
     ORL_SKY_Q = 14, ORL_SKY_Y = 9,
 };
-#define ORL_SHADOW_BIAS 3.0f
+#define ORL_SHADOW_BIAS 1.0f
 #define ORL_SUN_SOFT    0.08f   /* radians */
 #define ORL_LINEAR_MAX  16.0f
 

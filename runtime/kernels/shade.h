@@ -8,7 +8,7 @@
  *           a = mul(t, t), v = a + 2 mul(a, 32767 - t), vis = min((v + 64) >> 7, 255)
  *   shadow  x = clamp((sum phi_k w_k >>r phi_shift) + phi_bias, 0, 32767)             Q11 of (argument + 8)
  *           s = LUT sigmoid(x >> 7, (x & 127) << 8)                                  Q15
- *   shade   E = add(add(mul(sun_n, mul(s, q15(vis))), mul(sky_n, q15(open))), ground_n)   Q k, irradiance / pi; palette entry of the normal
+ *   shade   E = mul(add(add(mul(sun_n, q15(vis)), mul(sky_n, q15(open))), ground_n), s)   Q k, irradiance / pi; palette entry of the normal
  *           c = clamp(albedo E >>r colour_shift, 1, 2^24 - 1)                        linear colour Q20, < 16
  *           e = LUT encode(16 log + mantissa's top 4 bits, next 15 bits)             Q13, 0 .. 3.3; log = floor(log2 c)
  *           y = sky_a + mul(sky_b - sky_a, ramp)                                     Q13, nodes clamped to [-0.5, 3.49]

@@ -48,10 +48,10 @@ void orl_shadow_avx2(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *
 }
 
 /* Irradiance of 16 pixels, one at a time with channels side by side, turned into planes. */
-INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, __m256i sv, __m256i open, __m256i e[3])
+INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, __m256i vis, __m256i open, __m256i e[3])
 {
     int16_t a[16], b[16], rgb[16][4];
-    _mm256_storeu_si256((__m256i *)a, sv);
+    _mm256_storeu_si256((__m256i *)a, vis);
     _mm256_storeu_si256((__m256i *)b, open);
     for (int i = 0; i < 16; i++) {
         const int16_t *pal = t->pal[normal[i]];
@@ -115,10 +115,10 @@ void orl_shade_avx2(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8
             p[c] = _mm256_add_epi16(_mm256_set1_epi16(sky[c]), _mm256_mulhrs_epi16(_mm256_set1_epi16((short)(sky[4 + c] - sky[c])), ramp));
         __m128i cov8 = _mm_loadu_si128((const __m128i *)(in->cov + i));
         if (!_mm_testz_si128(cov8, cov8)) {
-            __m256i cov = bytes_q15(in->cov + i), e[3];
-            irradiance(in->normal + i, t, _mm256_mulhrs_epi16(load(in->s + i), bytes_q15(in->vis + i)), bytes_q15(in->open + i), e);
+            __m256i cov = bytes_q15(in->cov + i), s = load(in->s + i), e[3];
+            irradiance(in->normal + i, t, bytes_q15(in->vis + i), bytes_q15(in->open + i), e);
             for (int c = 0; c < 3; c++)
-                p[c] = _mm256_add_epi16(p[c], _mm256_mulhrs_epi16(_mm256_sub_epi16(encode(in->albedo[c] + i, e[c], t, round, shift), p[c]), cov));
+                p[c] = _mm256_add_epi16(p[c], _mm256_mulhrs_epi16(_mm256_sub_epi16(encode(in->albedo[c] + i, _mm256_mulhrs_epi16(e[c], s), t, round, shift), p[c]), cov));
         }
         __m128i r = tone(p, t->tone[0], t->tone_b[0]), g = tone(p, t->tone[1], t->tone_b[1]), b = tone(p, t->tone[2], t->tone_b[2]);
 #define X -1

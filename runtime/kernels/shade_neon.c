@@ -24,10 +24,10 @@ void orl_shadow_neon(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *
 }
 
 /* Irradiance of 8 pixels, channels side by side, then planes. */
-INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, int16x8_t sv, int16x8_t open, int16x8_t e[3])
+INLINE void irradiance(const uint16_t *normal, const orl_shade_tab *t, int16x8_t vis, int16x8_t open, int16x8_t e[3])
 {
     int16_t a[8], b[8], rgb[8][4];
-    vst1q_s16(a, sv);
+    vst1q_s16(a, vis);
     vst1q_s16(b, open);
     for (int i = 0; i < 8; i++) {
         const int16_t *pal = t->pal[normal[i]];
@@ -74,9 +74,9 @@ void orl_shade_neon(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8
         int16x8_t ramp = vshlq_s16(vaddq_s16(vdupq_n_s16((int16_t)((in->x + i) & mask)), lane), up), p[3];
         for (int c = 0; c < 3; c++) p[c] = vaddq_s16(vdupq_n_s16(sky[c]), vqrdmulhq_s16(vdupq_n_s16((int16_t)(sky[4 + c] - sky[c])), ramp));
         if (vmaxv_u8(vld1_u8(in->cov + i))) {
-            int16x8_t cov = bytes_q15(in->cov + i), e[3];
-            irradiance(in->normal + i, t, vqrdmulhq_s16(vld1q_s16(in->s + i), bytes_q15(in->vis + i)), bytes_q15(in->open + i), e);
-            for (int c = 0; c < 3; c++) p[c] = vaddq_s16(p[c], vqrdmulhq_s16(vsubq_s16(encode(in->albedo[c] + i, e[c], t, shift), p[c]), cov));
+            int16x8_t cov = bytes_q15(in->cov + i), s = vld1q_s16(in->s + i), e[3];
+            irradiance(in->normal + i, t, bytes_q15(in->vis + i), bytes_q15(in->open + i), e);
+            for (int c = 0; c < 3; c++) p[c] = vaddq_s16(p[c], vqrdmulhq_s16(vsubq_s16(encode(in->albedo[c] + i, vqrdmulhq_s16(e[c], s), t, shift), p[c]), cov));
         }
         uint8x8x3_t out = { { tone(p, t->tone[0], t->tone_b[0]), tone(p, t->tone[1], t->tone_b[1]), tone(p, t->tone[2], t->tone_b[2]) } };
         vst3_u8(rgb, out);

@@ -33,13 +33,13 @@ void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_
     uint32_t round = t->colour_shift ? 1u << (t->colour_shift - 1) : 0;
     for (int i = 0; i < n; i++, rgb += 3) {
         const int16_t *pal = t->pal[in->normal[i]];
-        int sv = mul(in->s[i], q15(in->vis[i])), open = q15(in->open[i]), cov = q15(in->cov[i]), p[3];
+        int vis = q15(in->vis[i]), open = q15(in->open[i]), cov = q15(in->cov[i]), p[3];
         const int16_t *sky = in->sky[(in->x + i) >> in->sky_log2];
         int ramp = ((in->x + i) & ((1 << in->sky_log2) - 1)) << (15 - in->sky_log2);
         for (int c = 0; c < 3; c++) {
             int y = sky[c] + mul(sky[4 + c] - sky[c], ramp);
             if (!cov) { p[c] = y; continue; }
-            int E = add(add(mul(pal[c], sv), mul(pal[4 + c], open)), pal[8 + c]);
+            int E = mul(add(add(mul(pal[c], vis), mul(pal[4 + c], open)), pal[8 + c]), in->s[i]);
             uint32_t q = ((uint32_t)in->albedo[c][i] * (uint32_t)E + round) >> t->colour_shift;
             q = q < 1 ? 1 : q > 0xffffff ? 0xffffff : q;
             int log = 31 - __builtin_clz(q);
