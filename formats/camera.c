@@ -70,18 +70,22 @@ static void distort(const orl_camera *c, double x, double y, double *dx, double 
     *dy = y * radial + 2 * c->p2 * x * y + c->p1 * (r2 + 2 * y * y);
 }
 
+/* Newton on distorted(x, y) = (x0, y0); the Jacobian of the radial and tangential terms is symmetric. */
 void orl_camera_unproject(const orl_camera *c, double u, double v, double dir[3])
 {
     double x0 = (u - c->cx) / c->fx, y0 = (v - c->cy) / c->fy, x = x0, y = y0;
     if (c->k1 != 0 || c->k2 != 0 || c->p1 != 0 || c->p2 != 0)
         for (int i = 0; i < 20; i++) {
-            double dx, dy;
+            double dx, dy, r2 = x * x + y * y, radial = c->k1 * r2 + c->k2 * r2 * r2, slope = 2 * (c->k1 + 2 * c->k2 * r2);
             distort(c, x, y, &dx, &dy);
-            double nx = x0 - dx, ny = y0 - dy, step = fabs(nx - x) + fabs(ny - y);
-            if (!(step < 10)) break;            /* outside the model's range: keep the last sane value */
-            x = nx;
-            y = ny;
-            if (step < 1e-10) break;
+            double a = 1 + radial + slope * x * x + 2 * c->p1 * y + 6 * c->p2 * x, b = slope * x * y + 2 * c->p1 * x + 2 * c->p2 * y;
+            double d = 1 + radial + slope * y * y + 6 * c->p1 * y + 2 * c->p2 * x, det = a * d - b * b;
+            if (!(det > 0.05)) break;           /* where the model folds over: keep the last sane value */
+            double ex = x + dx - x0, ey = y + dy - y0, sx = (d * ex - b * ey) / det, sy = (a * ey - b * ex) / det, step = fabs(sx) + fabs(sy);
+            if (!(step < 10)) break;
+            x -= sx;
+            y -= sy;
+            if (step < 1e-12) break;
         }
     dir[0] = x;
     dir[1] = y;

@@ -233,17 +233,6 @@ static orl_err write_sheet(const char *dir, const char *name, const orl_image *p
     return e;
 }
 
-static void json_string(const char *s)
-{
-    putchar('"');
-    for (; *s; s++) {
-        if (*s == '"' || *s == '\\') printf("\\%c", *s);
-        else if ((unsigned char)*s < 32) printf("\\u%04x", (unsigned char)*s);
-        else putchar(*s);
-    }
-    putchar('"');
-}
-
 static void json_scores(const orl_score *s, const int *has)
 {
     const char *comma = "";
@@ -257,12 +246,12 @@ static void json_scores(const orl_score *s, const int *has)
 static void print_json(const char *scene, const options *o, const row *rows, int n, const row *mean)
 {
     printf("{\"scene\": ");
-    json_string(scene);
+    print_json_string(scene);
     printf(", \"protocol\": \"%s, %d px long side, right half scored\", \"photos\": [",
            o->full_adapt ? "adapted on the whole photo" : "half-photo", o->long_side);
     for (int i = 0; i < n; i++) {
         printf("%s{\"name\": ", i ? ", " : "");
-        json_string(rows[i].name);
+        print_json_string(rows[i].name);
         printf(", ");
         json_scores(rows[i].right, rows[i].has);
         putchar('}');
@@ -617,7 +606,7 @@ static orl_err against_truth(const options *o, const orl_dataset *d, const orl_s
     if (e) return e;
     if (o->json) {
         printf("{\"scene\": ");
-        json_string(d->name);
+        print_json_string(d->name);
         for (int i = 0; i < n; i++) printf(", \"%s\": %.*f", f[i].key, f[i].digits, f[i].v);
         printf("}\n");
     } else {
@@ -683,18 +672,18 @@ int cmd_eval(int argc, char **argv)
         case JSON: o.json = 1; break;
         case HELP_ME: fputs(HELP, stdout); return 0;
         case NERFW: case REALISM:
-            fprintf(stderr, "eval: --%s is not built yet\n", c == NERFW ? "nerfw" : "realism");
+            fprintf(stderr, "oriel-train eval: --%s is not built yet\n", c == NERFW ? "nerfw" : "realism");
             return 2;
         default: return 2;
         }
     if (!ok || optind != argc - 1) {
-        fprintf(stderr, !ok ? "eval: a number is out of range\n" : "eval: one SCENE folder wanted; see --help\n");
+        fprintf(stderr, !ok ? "oriel-train eval: a number is out of range\n" : "oriel-train eval: one SCENE folder wanted; see --help\n");
         return 2;
     }
     o.dir = argv[optind];
     int truth = o.geometry || o.factors || o.kiosk;
     if (!o.scene == !o.baselines_only || (truth && o.baselines_only)) {
-        fprintf(stderr, "eval: --scene F wanted%s\n", truth ? "" : ", or else --baselines-only");
+        fprintf(stderr, "oriel-train eval: --scene F wanted%s\n", truth ? "" : ", or else --baselines-only");
         return 2;
     }
 
@@ -716,7 +705,7 @@ int cmd_eval(int argc, char **argv)
     }
     e = half_photo(&o, &data, o.scene ? &scene : NULL, model);
 done:
-    if (e) fprintf(stderr, "eval: %s\n", orl_error_text());
+    if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
     if (model) orl_model_free(model);
     orl_scene_close(&scene);
     orl_dataset_free(&data);

@@ -27,7 +27,7 @@ int  orl_camera_param_count(int model);              /* -1 if unknown */
 orl_camera orl_camera_resized(const orl_camera *c, int w, int h);
 /* Same centre and pose, no distortion, field of view widened `factor` times (focal / factor) at size w x h. */
 orl_camera orl_camera_widened(const orl_camera *c, double factor, int w, int h);
-/* Pixel (u, v) -> ray direction in camera space, not normalised, z = 1. Iterative undistortion, 20 fixed-point steps at most. */
+/* Pixel (u, v) -> ray direction in camera space, not normalised, z = 1. Undistorted by Newton's method, 20 steps at most; beyond the radius where the lens model folds over, the last sane direction. */
 void orl_camera_unproject(const orl_camera *c, double u, double v, double dir[3]);
 /* Camera-space point -> pixel. Returns 0 if z <= 1e-9 (uv untouched), else 1. */
 int  orl_camera_project(const orl_camera *c, const double p[3], double uv[2]);
