@@ -141,7 +141,7 @@ void stage2_free(stage2 *s)
     memset(s, 0, sizeof *s);
 }
 
-typedef struct { grid_cell a[ALBEDO_LEVELS], s; float excess[3]; } cells;   /* excess: base colour before the clamp minus after */
+typedef struct { grid_cell a[ALBEDO_LEVELS], s; v4 level[ALBEDO_LEVELS]; float excess[3]; } cells;    /* excess: base colour before the clamp minus after */
 
 static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
 {
@@ -149,7 +149,9 @@ static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
     v8 phi[1] = { { 0 } };
     for (int l = 0; l < ALBEDO_LEVELS; l++) {
         grid_find(&s->albedo[l], x, &c->a[l]);
-        grid_vector4(&s->albedo[l], &c->a[l], &a);
+        c->level[l] = (v4){ 0 };
+        grid_vector4(&s->albedo[l], &c->a[l], &c->level[l]);
+        a += c->level[l];
     }
     grid_find(&s->shadow, x, &c->s);
     grid_vector(&s->shadow, &c->s, 1, phi);
@@ -263,7 +265,8 @@ static void grad_photos(void *user, int begin, int end)
                 if (!q->surface) continue;
                 for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a] + 1e-3f * (o.albedo[a] - 0.4f);  /* back into range (the scene file clamps vertices, not sums); stone is seldom white */
                 v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
-                for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da);
+                static const float PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 };   /* detail that few pixels ask for stays away */
+                for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da + PLAIN[l] * c.level[l]);
                 v8 dp[1];
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + 1e-4f * o.phi[a];
                 grid_vector_back(&s->shadow, t, &c.s, 1, dp);
