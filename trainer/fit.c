@@ -31,7 +31,7 @@ static const char USAGE[] =
     "      --steps N          stage 1 steps, instead of the preset's\n"
     "      --rounds N         stage 2 rounds, instead of the preset's\n"
     "      --cells N          fine cells along the longest side of the box, 64 to 2048, instead of the preset's\n"
-    "      --checkpoint-seconds S  between two checkpoints, default 45\n"
+    "      --checkpoint-seconds S  between two checkpoints, default 30\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
     "      --no-masks         do not read given masks (sky is segmented by the program)\n"
     "      --seed N           default 1; runs repeat for the same seed and thread count\n"
@@ -282,7 +282,7 @@ int cmd_fit(int argc, char **argv)
         { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
         { "cells", 1, 0, CELLS }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
-    fit_options o = { .use_masks = 1, .checkpoint_seconds = 45 };
+    fit_options o = { .use_masks = 1, .checkpoint_seconds = 30 };
     const preset *p = &PRESETS[2];
     int c, ok = 1, steps = 0, rounds = 0, cells = 0, threads = orl_cores();
     double seed = 1;

@@ -361,9 +361,6 @@ void stage2_prior(stage2 *s)
     for (int i = 0; i < ORL_CODE; i++) for (int j = 0; j < ORL_CODE; j++) old[i][j] = s->light.prior_prec[i][j] + (i == j ? 1e-4 : 0);
     if (!invert(old)) return;
     for (int k = 0; k < n; k++) for (int i = 0; i < ORL_CODE; i++) mean[i] += s->codes[k][i] / n;
-    for (int k = 0; k < n; k++)
-        for (int i = 0; i < ORL_CODE; i++)
-            for (int j = 0; j < ORL_CODE; j++) cov[i][j] += 0;
     memset(cov, 0, sizeof cov);
     for (int k = 0; k < n; k++)
         for (int i = 0; i < ORL_CODE; i++)

@@ -148,7 +148,7 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
     return ORL_OK;
 }
 
-typedef struct { const orl_dataset *d; world *w; int long_side, use_masks; const uint32_t *index; orl_err *err; } load_job;
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks; const uint32_t *index; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
 
 static orl_err load_one(const load_job *job, int k)
 {
@@ -194,7 +194,7 @@ static orl_err load_one(const load_job *job, int k)
 static void load_range(void *user, int begin, int end)
 {
     load_job *job = user;
-    for (int k = begin; k < end; k++) job->err[k] = load_one(job, k);
+    for (int k = begin; k < end; k++) if (load_one(job, k)) snprintf(job->why[k], sizeof job->why[k], "%s", orl_error_text());
 }
 
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out)
@@ -204,19 +204,19 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
     if (e) return e;
     snprintf(w.title, sizeof w.title, "%.63s", d->name);
     uint32_t *index = malloc(d->nphotos * sizeof *index);
-    orl_err *errs = calloc(d->nphotos, sizeof *errs);
+    char (*why)[400] = calloc(d->nphotos, sizeof *why);
     w.photos = calloc(d->nphotos, sizeof *w.photos);
     w.points = calloc(d->npoints, sizeof *w.points);
     w.obs = calloc(d->nobs + 1, sizeof *w.obs);
-    if (!index || !errs || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
+    if (!index || !why || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
     for (uint32_t i = 0; i < d->nphotos; i++) if (!d->photos[i].test) index[w.nphotos++] = i;
-    load_job job = { d, &w, long_side, use_masks, index, errs };
+    load_job job = { d, &w, long_side, use_masks, index, why };
     orl_parallel(threads, w.nphotos, 1, load_range, &job);
     int kept = 0;
     for (int k = 0; k < w.nphotos; k++) {
         const orl_photo *p = &d->photos[index[k]];
-        if (errs[k]) {
-            fprintf(stderr, "oriel-train: %s does not load, left out\n", p->name);
+        if (why[k][0]) {
+            fprintf(stderr, "oriel-train: %s: left out\n", why[k]);
             continue;
         }
         world_photo *o = &w.photos[k];
@@ -229,7 +229,6 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_count = w.nobs - o->obs_begin;
         w.photos[kept++] = *o;
     }
-    
     w.nphotos = kept;
     if (kept < 2) { e = orl_fail(ORL_E_DEGENERATE, "%s: fewer than two photos load", d->dir); goto done; }
     w.npoints = d->npoints;
@@ -254,7 +253,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
 done:
     world_free(&w);
     free(index);
-    free(errs);
+    free(why);
     return e;
 }
 
