@@ -67,27 +67,49 @@ typedef struct { float at[3]; } ground;
 
 static float ground_height(const ground *g, const float x[3]) { return g->at[0] + g->at[1] * x[0] + g->at[2] * x[1]; }
 
-/* Level of the lowest large share of the stereo points that look up, then a plane through those around it (steps and terraces left out: its tilt is held small);
- * without stereo the frame's guess. */
+static int by_float(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+/* Share of cameras over the ground. */
+static float cameras_over(const world *w, const ground *g)
+{
+    int n = 0;
+    for (int k = 0; k < w->nphotos; k++) {
+        float c[3] = { (float)w->photos[k].centre[0], (float)w->photos[k].centre[1], (float)w->photos[k].centre[2] };
+        n += c[2] > ground_height(g, c);
+    }
+    return (float)n / (float)w->nphotos;
+}
+
+/* Most photographers stand on the ground: it is the level below their heads where most stereo points look up, then a plane through those around it (steps left out: its tilt is held
+ * small). Without such points, a little below the lower photographers. */
 static ground ground_find(const world *w, const stereo *st)
 {
     enum { BINS = 160 };
     const int *dims = w->frame.dims;
-    float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS;
-    ground g = { { w->frame.ground, 0, 0 } };
+    float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS, heads = w->frame.ground;
+    float *z = malloc((size_t)w->nphotos * sizeof *z);
+    for (int k = 0; z && k < w->nphotos; k++) z[k] = (float)w->photos[k].centre[2];
+    if (z) {
+        qsort(z, (size_t)w->nphotos, sizeof *z, by_float);
+        heads = z[w->nphotos * 3 / 10];
+    }
+    free(z);
+    const ground guess = { { fminf(w->frame.ground, heads - 0.015f * (float)dims[0]), 0, 0 } };
     for (uint32_t i = 0; st && i < st->npoints; i++) {
         const stereo_point *q = &st->points[i];
         int b = (int)floorf(q->x[2] / bin);
-        if (q->n[2] < 0.85f || b < 0 || b >= BINS) continue;
+        if (q->n[2] < 0.85f || b < 0 || b >= BINS || q->x[2] > heads) continue;
         share[b] += q->weight;
         share[b + 1] += q->weight;
     }
-    for (int b = 0; b < BINS; b++) most = fmaxf(most, share[b]);
-    if (most < 200) return g;
     int level = 0;
-    while (share[level] < 0.25f * most) level++;
-    while (share[level + 1] > share[level]) level++;
-    g.at[0] = (float)level * bin;
+    for (int b = 0; b < BINS; b++) if (share[b] > most) most = share[level = b];
+    if (most < 200) return guess;
+    ground g = { { (float)level * bin, 0, 0 } };
     for (int round = 0; round < 8; round++) {   /* reweighted least squares */
         double a = 0, b = 0, c = 0, d = 0, e = 0, f = 0, r0 = 0, r1 = 0, r2 = 0, mx = 0.5 * dims[0], my = 0.5 * dims[1], tilt = 0.15 * dims[0] * 0.15 * dims[0];
         for (uint32_t i = 0; i < st->npoints; i++) {
@@ -99,13 +121,13 @@ static ground ground_find(const world *w, const stereo *st)
         }
         double det = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d);
         if (!(fabs(det) > 1e-9)) break;
-        double z = (r0 * (d * f - e * e) - b * (r1 * f - r2 * e) + c * (r1 * e - r2 * d)) / det;
+        double z0 = (r0 * (d * f - e * e) - b * (r1 * f - r2 * e) + c * (r1 * e - r2 * d)) / det;
         double sx = (a * (r1 * f - r2 * e) - r0 * (b * f - c * e) + c * (b * r2 - c * r1)) / det;
         double sy = (a * (d * r2 - e * r1) - b * (b * r2 - c * r1) + r0 * (b * e - c * d)) / det;
         if (!(fabs(sx) < 0.1) || !(fabs(sy) < 0.1)) break;
-        g = (ground){ { (float)(z - sx * mx - sy * my), (float)sx, (float)sy } };
+        g = (ground){ { (float)(z0 - sx * mx - sy * my), (float)sx, (float)sy } };
     }
-    return g;
+    return cameras_over(w, &g) > 0.7f ? g : guess;
 }
 
 /* Stereo points of a photo by pixel, at half its size: index + 1, 0 = none. */
