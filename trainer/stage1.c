@@ -362,7 +362,8 @@ static void train_ray(step_job *job, int thread, rng *r)
         for (int a = 0; a < 3; a++) dist += (q->x[a] - o[a]) * d[a];
         /* Near a camera few others look on and floaters grow: gradients fade there (Philip & Deschaintre 2023). */
         float near = dist < p->near ? dist * dist / (p->near * p->near) : 1;
-        if (!s->heuristics) near = 1;
+        float shapes = PHOTO_SHAPES * near;
+        if (!s->heuristics) near = shapes = 1;
         if (!sky && q->weight >= 1e-3f) {
             v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
             for (int a = 0; a < 8; a++) g += m[a];
@@ -375,8 +376,8 @@ static void train_ray(step_job *job, int thread, rng *r)
         float df = carry;
         carry = 0;
         if (q->alpha > 0) {
-            df -= PHOTO_SHAPES * near * da * ratio * (1 - q->s_val) * inv_s;
-            if (q->chained) carry = PHOTO_SHAPES * near * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
+            df -= shapes * da * ratio * (1 - q->s_val) * inv_s;
+            if (q->chained) carry = shapes * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
         }
         grid_cell hc;
         grid_find(&s->hull, q->x, &hc);
