@@ -21,16 +21,15 @@ static void make_world(world *w)
     for (int k = 0; k < 2; k++) {
         world_photo *p = &w->photos[k];
         double f = 24;
-        p->w = p->h = 24;
         orl_camera_from_params(&p->cam, ORL_CAM_SIMPLE_PINHOLE, 24, 24, (double[]){ f, 12, 12 }, 3);
         p->centre[0] = 12 + 8 * k; p->centre[1] = 1; p->centre[2] = 12;
         memcpy(p->axes, (double[9]){ 1, 0, 0, 0, 0, 1, 0, -1, 0 }, sizeof p->axes);   /* camera x -> x, y -> -z, z -> y */
-        p->rgb = malloc(24 * 24 * 3);
-        p->sky = malloc(24 * 24);
+        uint8_t rgb[24 * 24 * 3], sky[24 * 24];
         for (int i = 0; i < 24 * 24; i++) {
-            p->sky[i] = i < 24 * 6 ? 255 : 0;
-            for (int a = 0; a < 3; a++) p->rgb[3 * i + a] = (uint8_t)((i * 37 + a * 91 + k * 50) % 256);
+            sky[i] = i < 24 * 6 ? 255 : 0;
+            for (int a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)((i * 37 + a * 91 + k * 50) % 256);
         }
+        assert_int_equal(world_photo_fill(p, 24, 24, rgb, sky), ORL_OK);
         p->obs_begin = (uint32_t)k * 16;
         p->obs_count = 16;
     }

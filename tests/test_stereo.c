@@ -47,14 +47,12 @@ static void make(world *w, int photos, int flat)
     for (int i = 0; i < POINTS; i++) w->points[i] = (world_point){ { 30 + (float)(i % 10) * 4, 30 + (float)(i / 10) * 6, 10 }, 1 };
     for (int k = 0; k < photos; k++) {
         world_photo *p = &w->photos[k];
-        p->w = W; p->h = H;
         p->cam = (orl_camera){ .model = ORL_CAM_PINHOLE, .w = W, .h = H, .fx = 90, .fy = 90, .cx = W / 2.0, .cy = H / 2.0 };
         double a = 0.05 * (k - 2.5), centre[3] = { 40 + 3.5 * k, 46 + 2 * (k % 3), 60 };
         double axes[9] = { cos(a), 0, -sin(a), 0, -1, 0, -sin(a), 0, -cos(a) };    /* columns: camera x, y, z in the grid frame */
         memcpy(p->centre, centre, sizeof centre);
         memcpy(p->axes, axes, sizeof axes);
-        p->rgb = malloc(W * H * 3);
-        p->sky = calloc(W * H, 1);
+        static uint8_t rgb[W * H * 3];
         for (int y = 0; y < H; y++)
             for (int x = 0; x < W; x++) {
                 float d[3];
@@ -67,8 +65,9 @@ static void make(world *w, int photos, int flat)
                     post = 0;
                 }
                 float g = flat ? 90 : (40.0f + 20.0f * (float)(k % 3)) + (120.0f - 15.0f * (float)(k % 4)) * texture(0.45f * u + post, 0.45f * v);
-                for (int c = 0; c < 3; c++) p->rgb[3 * (y * W + x) + c] = (uint8_t)(g + 0.5f);
+                for (int c = 0; c < 3; c++) rgb[3 * (y * W + x) + c] = (uint8_t)(g + 0.5f);
             }
+        assert_int_equal(world_photo_fill(p, W, H, rgb, NULL), ORL_OK);
         p->obs_begin = (uint32_t)(k * POINTS);
         p->obs_count = POINTS;
         for (uint32_t i = 0; i < POINTS; i++) w->obs[p->obs_begin + i].point = i;

@@ -29,8 +29,8 @@ static orl_err save_sky(const world *w, FILE *f)
 {
     int bad = 0;
     for (int k = 0; k < w->nphotos; k++) {
-        size_t n = (size_t)w->photos[k].w * (size_t)w->photos[k].h;
-        bad |= fwrite(w->photos[k].sky, 1, n, f) != n;
+        size_t n = world_label_bytes(&w->photos[k]);
+        bad |= fwrite(w->photos[k].labels, 1, n, f) != n;
     }
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
 }
@@ -38,8 +38,8 @@ static orl_err save_sky(const world *w, FILE *f)
 orl_err checkpoint_load_sky(world *w, FILE *f, const char *path)
 {
     for (int k = 0; k < w->nphotos; k++) {
-        size_t n = (size_t)w->photos[k].w * (size_t)w->photos[k].h;
-        if (fread(w->photos[k].sky, 1, n, f) != n) return orl_fail(ORL_E_FORMAT, "%s: sky labels of photo %d are cut short", path, k);
+        size_t n = world_label_bytes(&w->photos[k]);
+        if (fread(w->photos[k].labels, 1, n, f) != n) return orl_fail(ORL_E_FORMAT, "%s: sky labels of photo %d are cut short", path, k);
     }
     return ORL_OK;
 }
@@ -51,7 +51,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     FILE *f = fopen(tmp, "wb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
     checkpoint_header head = *h;
-    memcpy(head.magic, "ORLCKPT2", 8);
+    memcpy(head.magic, "ORLCKPT3", 8);
     orl_err e = fwrite(&head, sizeof head, 1, f) == 1 ? ORL_OK : ORL_E_IO;
     if (!e && h->phase == 0) e = stereo_work_save(p->maps, f);
     if (!e && h->phase == 1) e = stereo_save(p->st, f);
@@ -101,7 +101,7 @@ orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
     FILE *f = fopen(path, "rb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     checkpoint_header head;
-    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT2", 8) || !within(&head)) {
+    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT3", 8) || !within(&head)) {
         fclose(f);
         return orl_fail(ORL_E_FORMAT, "%s: not a checkpoint of this version", path);
     }

@@ -11,7 +11,7 @@
 #include "trainer/surface.h"
 
 typedef struct {
-    char magic[8];                  /* "ORLCKPT2" */
+    char magic[8];                  /* "ORLCKPT3" */
     int phase;
     int long_side, longest, rays, steps, pixels, rounds, threads, nphotos;
     uint32_t place;                 /* checkpoint_place of the photos it was made from; 0: not recorded */

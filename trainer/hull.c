@@ -165,7 +165,7 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
     for (int a = 0; a < 3; a++) away2 += (g[a] - (float)p->centre[a]) * (g[a] - (float)p->centre[a]);
     if (away2 < 4.0f * (float)(j->cell * j->cell)) { say(100, SPAN, sum); return; }
     if (!world_project(p, g, uv, &depth) || uv[0] < 0 || uv[1] < 0 || uv[0] >= p->w || uv[1] >= p->h) return;
-    if (p->sky[(int)uv[1] * p->w + (int)uv[0]] > 200) { say(SAY_SKY, SPAN, sum); return; }
+    if (world_label(p, (int)uv[0], (int)uv[1]) == WORLD_SKY) { say(SAY_SKY, SPAN, sum); return; }
     uint32_t hit = j->hits[k] ? j->hits[k][(int)uv[1] / 2 * (p->w / 2 + 1) + (int)uv[0] / 2] : 0;
     if (hit) {
         const stereo_point *q = &j->st->points[hit - 1];
@@ -338,7 +338,7 @@ static void relabel_range(void *user, int begin, int end)
                 if (hull_hit(j, o, d)) continue;
                 for (int b = 0; b < 4; b++) {
                     int xx = x + (b & 1), yy = y + (b >> 1);
-                    if (xx < p->w && yy < p->h && p->sky[yy * p->w + xx] < 55) p->sky[yy * p->w + xx] = 128;
+                    if (xx < p->w && yy < p->h && world_label(p, xx, yy) == WORLD_SCENE) world_set_label(p, xx, yy, WORLD_UNKNOWN);
                 }
             }
     }

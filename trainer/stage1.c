@@ -93,8 +93,10 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
         for (int j = 0; j < APPEARANCE; j++) c[j] = 0.3f * rng_normal(&r);
         double mean[3] = { 0 }, count = 1e-9;
         for (int q = 0; q < p->w * p->h; q += 7) {
-            if (p->sky[q] > 200) continue;
-            for (int a = 0; a < 3; a++) mean[a] += p->rgb[3 * q + a] / 255.0;
+            uint8_t rgb[3];
+            if (world_label(p, q % p->w, q / p->w) == WORLD_SKY) continue;
+            world_rgb(p, q % p->w, q / p->w, rgb);
+            for (int a = 0; a < 3; a++) mean[a] += rgb[a] / 255.0;
             count++;
         }
         for (int a = 0; a < 3; a++) {
@@ -253,12 +255,12 @@ static void train_ray(step_job *job, int thread, rng *r)
     int photo = (int)rng_below(r, (uint32_t)w->nphotos);
     const world_photo *p = &w->photos[photo];
     int px = (int)rng_below(r, (uint32_t)p->w), py = (int)rng_below(r, (uint32_t)p->h);
-    int label = p->sky[py * p->w + px];
-    if (label > 200 && (rng_u32(r) & 1)) {      /* sky teaches little per ray: half of it is enough */
+    int label = world_label(p, px, py);
+    if (label == WORLD_SKY && (rng_u32(r) & 1)) {      /* sky teaches little per ray: half of it is enough */
         px = (int)rng_below(r, (uint32_t)p->w); py = (int)rng_below(r, (uint32_t)p->h);
-        label = p->sky[py * p->w + px];
+        label = world_label(p, px, py);
     }
-    int sky = label > 200, scene = label < 55;
+    int sky = label == WORLD_SKY, scene = label == WORLD_SCENE;
     float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
     world_ray(p, px + 0.5, py + 0.5, d);
     ray_sample *ray = job->ray[thread];
@@ -294,11 +296,13 @@ static void train_ray(step_job *job, int thread, rng *r)
     if (!sky) {
         const float *h = (const float *)H;
         float stat[3], C[3], target[3], lin[3];
+        uint8_t rgb[3];
+        world_rgb(p, px, py, rgb);
         for (int a = 0; a < 3; a++) {
             lin[a] = h[a];
             for (int j = 0; j < APPEARANCE; j++) lin[a] += l[j] * h[3 + 3 * j + a];
             stat[a] = gain[a] * lin[a] + bias[a] * W + back[a] * (1 - W);
-            target[a] = p->rgb[3 * (py * p->w + px) + a] * (1.0f / 255.0f);
+            target[a] = rgb[a] * (1.0f / 255.0f);
         }
         grid_cell tc;
         v8 tv[1] = { { 0 } };

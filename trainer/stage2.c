@@ -18,20 +18,20 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
     uint32_t n = 0;
     int sky_left = s->opt.pixels / 5;
     for (int tries = 0; tries < 2 * s->opt.pixels && n < (uint32_t)s->opt.pixels; tries++) {
-        int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = p->sky[y * p->w + x];
+        int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = world_label(p, x, y);
         world_ray(p, x + 0.5, y + 0.5, d);
         surface_hit h;
         int hit = surface_march(s->surf, o, d, &h);
-        int sky = label > 200 || (!hit && label >= 55 && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
+        int sky = label == WORLD_SKY || (!hit && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
         if (hit == sky || (sky && sky_left == 0)) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
         float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
-        memcpy(q->rgb, p->rgb + 3 * (y * p->w + x), 3);
+        world_rgb(p, x, y, q->rgb);
         if (sky) {
             if (at > 0.5f) continue;
             memcpy(q->x, d, sizeof d);
-            q->weight = label > 200 ? 255 : 96;
+            q->weight = label == WORLD_SKY ? 255 : 96;
             sky_left--;
             n++;
             continue;

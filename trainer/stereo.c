@@ -32,7 +32,7 @@ typedef struct {
     picture level[LEVELS];
     plane *map, *frozen;            /* of the level at hand; as they were before this round */
     float *cost;
-    uint8_t *sky;                   /* at level 0 */
+    uint8_t *sky;                   /* at level 0: 1 surely sky */
     float R[9], c[3];               /* grid -> camera rotation, centre */
     float z_min, z_max;
     int companion[COMPANIONS], ncompanions;
@@ -92,11 +92,14 @@ static orl_err shot_load(const world_photo *p, shot *s)
             float u = fminf(fmaxf((float)uv[0] - 0.5f, 0), (float)(p->w - 1)), v = fminf(fmaxf((float)uv[1] - 0.5f, 0), (float)(p->h - 1));
             int x0 = (int)u, y0 = (int)v, x1 = x0 + (x0 < p->w - 1), y1 = y0 + (y0 < p->h - 1);
             float g[4];
-            const int at[4] = { y0 * p->w + x0, y0 * p->w + x1, y1 * p->w + x0, y1 * p->w + x1 };
-            for (int k = 0; k < 4; k++) g[k] = 0.299f * p->rgb[3 * at[k]] + 0.587f * p->rgb[3 * at[k] + 1] + 0.114f * p->rgb[3 * at[k] + 2];
+            for (int k = 0; k < 4; k++) {
+                uint8_t rgb[3];
+                world_rgb(p, k & 1 ? x1 : x0, k & 2 ? y1 : y0, rgb);
+                g[k] = 0.299f * rgb[0] + 0.587f * rgb[1] + 0.114f * rgb[2];
+            }
             float a = g[0] + (u - (float)x0) * (g[1] - g[0]), b = g[2] + (u - (float)x0) * (g[3] - g[2]);
             q->grey[y * p->w + x] = (uint8_t)(a + (v - (float)y0) * (b - a) + 0.5f);
-            s->sky[y * p->w + x] = p->sky[at[0]];
+            s->sky[y * p->w + x] = world_label(p, x0, y0) == WORLD_SKY;
         }
     for (int l = 1; l < LEVELS; l++) {
         picture *r = &s->level[l], *f = &s->level[l - 1];
@@ -503,7 +506,7 @@ static void start(job *j)
                     for (int u = x - reach < 0 ? 0 : x - reach; u <= x + reach && u < p->w; u++) { a += sum[v * p->w + u]; b += wt[v * p->w + u]; }
             float lo = 1 / s->z_max, hi = 1 / s->z_min, inv = b > 0 && rng_f(&r) < 0.7f ? a / b * expf(0.08f * rng_normal(&r)) : lo + (hi - lo) * rng_f(&r);
             o->z = 1 / fminf(fmaxf(inv, lo * 1.001f), hi * 0.999f);
-            if (s->sky[(4 * y + 2) * s->level[0].w + 4 * x + 2] > 200) o->z = 0;
+            if (s->sky[(4 * y + 2) * s->level[0].w + 4 * x + 2]) o->z = 0;
         }
     free(sum);
 }
@@ -527,7 +530,7 @@ static void refine_map(shot *s, int level)
                 if (den < -1e-3f) t->z = fminf(fmaxf(o->z * num / den, s->z_min), s->z_max);
             } else if (px > 0 && s->frozen[py * up->w + px - 1].z > 0) *t = s->frozen[py * up->w + px - 1];     /* sky's rim: let the finer level decide */
             else if (px + 1 < up->w && s->frozen[py * up->w + px + 1].z > 0) *t = s->frozen[py * up->w + px + 1];
-            if (level == 0 && s->sky[y * p->w + x] > 200) t->z = 0;
+            if (level == 0 && s->sky[y * p->w + x]) t->z = 0;
         }
 }
 

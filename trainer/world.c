@@ -28,6 +28,19 @@ int world_project(const world_photo *p, const float x[3], double uv[2], double *
     return orl_camera_project(&p->cam, c, uv);
 }
 
+orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky)
+{
+    size_t n = (size_t)w * (size_t)h;
+    p->w = w;
+    p->h = h;
+    p->rgb = malloc(3 * n);
+    p->labels = calloc(world_label_bytes(p), 1);
+    if (!p->rgb || !p->labels) return orl_fail(ORL_E_MEMORY, "%s: no memory", p->name);
+    memcpy(p->rgb, rgb, 3 * n);
+    for (int y = 0; sky && y < h; y++) for (int x = 0; x < w; x++, sky++) world_set_label(p, x, y, *sky > ORL_SKY_SURE ? WORLD_SKY : *sky < ORL_SKY_SCENE ? WORLD_SCENE : WORLD_UNKNOWN);
+    return ORL_OK;
+}
+
 int box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1)
 {
     float a = 0, b = 1e30f;
@@ -160,8 +173,6 @@ static orl_err load_one(const load_job *job, int k)
     if (e) return e;
     snprintf(o->name, sizeof o->name, "%s", p->name);
     o->pose = p->pose;
-    o->w = im.w;
-    o->h = im.h;
     double c[3];
     orl_pose_centre(&p->pose, c);
     frame_apply(f, c, o->centre);
@@ -185,10 +196,10 @@ static orl_err load_one(const load_job *job, int k)
         e = orl_skymask(&im, &o->cam, &o->pose, f->R + 6, (const float (*)[2])pts, n, &sky);
     }
     free(pts);
-    if (e) { orl_image_free(&im); return e; }
-    o->rgb = im.px;
-    o->sky = sky.px;
-    return ORL_OK;
+    if (!e) e = world_photo_fill(o, im.w, im.h, im.px, sky.px);
+    orl_image_free(&im);
+    orl_image_free(&sky);
+    return e;
 }
 
 static void load_range(void *user, int begin, int end)
@@ -261,7 +272,7 @@ void world_free(world *w)
 {
     for (int i = 0; w->photos && i < w->nphotos; i++) {
         free(w->photos[i].rgb);
-        free(w->photos[i].sky);
+        free(w->photos[i].labels);
     }
     free(w->photos);
     free(w->obs);

@@ -1,6 +1,7 @@
 /* The training set in memory, in the grid frame: photos, cameras, sky masks, SfM observations. */
 #ifndef TRAINER_WORLD_H
 #define TRAINER_WORLD_H
+#include <string.h>
 #include "oriel/dataset.h"
 
 /* Similarity world -> grid: z up, one unit = one fine cell, the box is [0, dims]. */
@@ -19,10 +20,11 @@ typedef struct {
     double axes[9];                 /* grid direction = axes * camera direction (row-major rotation) */
     float near;                     /* half the median depth of its SfM points, fine cells: what is nearer than this teaches less */
     int w, h;
-    uint8_t *rgb;                   /* w * h * 3, sRGB */
-    uint8_t *sky;                   /* w * h: 255 surely sky .. 0 surely scene */
+    uint8_t *rgb, *labels;          /* only for world_rgb, world_label and their kin */
     uint32_t obs_begin, obs_count;  /* into world.obs */
 } world_photo;
+
+enum { WORLD_SCENE, WORLD_UNKNOWN, WORLD_SKY };                 /* a pixel's label */
 
 typedef struct { float u, v; uint32_t point; } world_obs;        /* pixel at training size */
 typedef struct { float x[3]; float weight; } world_point;       /* grid frame; weight from track length and reprojection error */
@@ -43,6 +45,22 @@ void frame_apply(const frame *f, const double world[3], double grid[3]);
 void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
 int  world_project(const world_photo *p, const float x[3], double uv[2], double *depth);
+/* Pixel (x, y), sRGB. */
+static inline void world_rgb(const world_photo *p, int x, int y, uint8_t rgb[3]) { memcpy(rgb, p->rgb + 3 * ((size_t)y * (size_t)p->w + (size_t)x), 3); }
+/* Its label, four of them a byte. */
+static inline int world_label(const world_photo *p, int x, int y)
+{
+    size_t i = (size_t)y * (size_t)p->w + (size_t)x;
+    return p->labels[i / 4] >> 2 * (i % 4) & 3;
+}
+static inline void world_set_label(world_photo *p, int x, int y, int label)    /* one thread a photo */
+{
+    size_t i = (size_t)y * (size_t)p->w + (size_t)x;
+    p->labels[i / 4] = (uint8_t)((p->labels[i / 4] & ~(3 << 2 * (i % 4))) | label << 2 * (i % 4));
+}
+static inline size_t world_label_bytes(const world_photo *p) { return ((size_t)p->w * (size_t)p->h + 3) / 4; }
+/* Gives a photo its size, pixels (w * h * 3) and labels from a sky mask (w * h: 255 surely sky .. 0 surely scene; NULL: all scene); both are copied. ORL_E_MEMORY. */
+orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky);
 int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1);
 
 struct stereo;
