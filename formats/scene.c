@@ -17,15 +17,16 @@
 #endif
 
 enum { HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, SKYD, SKYG, PRIO, CODE, META, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "SKYD", "SKYG", "PRIO", "CODE", "META" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
-typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.7] */
-typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t reserved[8]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.8] */
-typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.9] */
-_Static_assert(sizeof(head_bytes) == 152 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
+typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.7] */
+typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.8] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t reserved[8]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.9] */
+typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.10] */
+_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
 typedef struct { orl_scene_section list[MAX_SECTIONS]; int count; span known[TAGS]; } layout;
@@ -138,12 +139,12 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
     }
     /* bricks is at most 2^24: no product below leaves 64 bits */
     const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [ALBD] = bricks * ORL_BRICK_VERTS * 3,
-        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
+        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
         if (t == CODE) continue;
-        if (!scene && t <= SHAD && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        int required = t <= ALBD ? scene : t != LITE && t != SHAD;
+        if (!scene && t <= GRND && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
+        int required = t <= ALBD ? scene : t > GRND;
         if ((e = need(l, t, required, want[t], name))) return e;
     }
     span code = l->known[CODE];
@@ -162,6 +163,11 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         s->albedo = l->known[ALBD].at;
         s->lite = l->known[LITE].at;
         s->shadow = (const int8_t *)l->known[SHAD].at;
+        const grnd_bytes *g = (const grnd_bytes *)l->known[GRND].at;
+        if (g) {
+            memcpy(s->ground, g->plane, sizeof s->ground);
+            s->ground_albedo = g->albedo[0][0];
+        }
     }
     s->codes = (const float *)code.at;
     s->ncodes = (uint32_t)(code.bytes / one);
@@ -195,6 +201,8 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
         int e = (int)(bits >> 23) - 127;
         if (s->shadow ? (bits & 0x7fffff) || e < EXP_MIN || e > EXP_MAX : bits != 0) return orl_fail(ORL_E_RANGE, "%s: section HEAD: shadow_scale[%d] = %g", name, k, (double)s->shadow_scale[k]);
     }
+    for (int k = 0; s->ground_albedo && k < 3; k++)
+        if (!within(s->ground[k], k ? 1 : 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section GRND: plane[%d] = %g", name, k, (double)s->ground[k]);
     uint64_t places = (uint64_t)s->nb[0] * s->nb[1] * s->nb[2];
     for (uint64_t i = 0; i < places; i++)
         if (s->bmap[i] >= (int64_t)s->nbricks || s->bmap[i] < -127) return orl_fail(ORL_E_RANGE, "%s: section BMAP: entry %llu = %d", name, (unsigned long long)i, s->bmap[i]);
@@ -318,7 +326,7 @@ orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, in
 
 /* ---- write */
 
-/* Smallest exponent at which v fits int16 [4.8.1]. */
+/* Smallest exponent at which v fits int16 [4.9.1]. */
 static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, const char *field, const char *path)
 {
     float top = 0;
@@ -353,6 +361,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
 {
     static const head_bytes head_zero;
     head_bytes head = head_zero;
+    grnd_bytes grnd;
     skyd_bytes skyd = { 0 };
     skyg_bytes skyg = { 0 };
     prio_bytes prio;
@@ -375,9 +384,13 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
         memcpy(head.world_to_grid, s->world_to_grid, sizeof head.world_to_grid);
         head.cell_world = s->cell_world;
         if (s->shadow) memcpy(head.shadow_scale, s->shadow_scale, sizeof head.shadow_scale);
-        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM };
-        for (int t = HEAD; t <= SHAD; t++) { data[t] = d[t]; bytes[t] = b[t]; }
+        if (s->ground_albedo) {
+            memcpy(grnd.plane, s->ground, sizeof grnd.plane);
+            memcpy(grnd.albedo, s->ground_albedo, sizeof grnd.albedo);
+        }
+        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd };
+        for (int t = HEAD; t <= GRND; t++) { data[t] = d[t]; bytes[t] = b[t]; }
     }
     uint32_t count = 0;
     for (int t = 0; t < TAGS; t++) count += data[t] != NULL;

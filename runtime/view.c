@@ -83,6 +83,27 @@ static void palette_dir(int index, float n[3])
 
 typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
 
+/* What a ray that meets no brick falls on: the ground as in SCENE.md 4.7, in double with + - * / only. */
+static int ground_hit(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
+{
+    const float *g = s->ground;
+    double over = o[2] - (g[0] + g[1] * o[0] + g[2] * o[1]), fall = g[1] * d[0] + g[2] * d[1] - d[2];
+    if (!s->ground_albedo || !(over > 0) || !(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
+    double t = over / fall;
+    int at[2];
+    for (int a = 0; a < 2; a++) {
+        double q = ((o[a] + t * d[a]) / (8.0 * s->nb[a]) + 1) * (ORL_GROUND_SIDE / 3.0);
+        at[a] = q > 0 ? (q < ORL_GROUND_SIDE - 1 ? (int)q : ORL_GROUND_SIDE - 1) : 0;
+    }
+    const uint8_t *c = s->ground_albedo + 3 * (at[1] * ORL_GROUND_SIDE + at[0]);
+    memset(h, 0, sizeof *h);
+    h->grad[2] = 1;
+    for (int k = 0; k < 3; k++) h->albedo[k] = ((uint32_t)(c[k] * c[k]) * 65535u + 32512u) / 65025;
+    h->lite[0] = 255 << 16;
+    h->t = (int64_t)(t * 65536 + 0.5);
+    return 1;
+}
+
 /* Mean of the rays that hit; coverage is their share. */
 static void build_pixel(const build_job *j, int x, int y)
 {
@@ -95,7 +116,7 @@ static void build_pixel(const build_job *j, int x, int y)
     int32_t phi[ORL_SHADOW_DIM] = { 0 };
     for (int k = 0; k < rays; k++) {
         double d[3];
-        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !orl_march(j->s, j->origin, d, &h)) continue;
+        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !(orl_march(j->s, j->origin, d, &h) || ground_hit(j->s, j->origin, d, &h))) continue;
         double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
         if (len > 0) for (int a = 0; a < 3; a++) n[a] += g[a] / len;
         for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];

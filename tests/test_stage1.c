@@ -13,7 +13,7 @@ static void make_world(world *w)
 {
     memset(w, 0, sizeof *w);
     snprintf(w->title, sizeof w->title, "wall");
-    w->frame = (frame){ .R = { 1, 0, 0, 0, 1, 0, 0, 0, 1 }, .scale = 1, .dims = { 32, 32, 32 }, .ground = 2 };
+    w->frame = (frame){ .R = { 1, 0, 0, 0, 1, 0, 0, 0, 1 }, .scale = 1, .dims = { 32, 32, 32 }, .ground = { 2 } };
     w->nphotos = 2;
     w->photos = calloc(2, sizeof *w->photos);
     w->obs = calloc(64, sizeof *w->obs);

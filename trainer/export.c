@@ -22,6 +22,23 @@ static void shadow_scales(const surface *surf, const stage2 *s2, float scale[ORL
     }
 }
 
+/* Base colour of the ground: texels as in SCENE.md 4.7, each the mean of a few places in it. */
+static void ground_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[3])
+{
+    enum { SUB = 4 };
+    for (int t = 0; t < ORL_GROUND_SIDE * ORL_GROUND_SIDE; t++) {
+        float sum[3] = { 0 };
+        for (int k = 0; k < SUB * SUB; k++) {
+            float x[3] = { 0 }, a[3], at[2] = { (float)(t % ORL_GROUND_SIDE) + ((float)(k % SUB) + 0.5f) / SUB, (float)(t / ORL_GROUND_SIDE) + ((float)(k / SUB) + 0.5f) / SUB };
+            for (int c = 0; c < 2; c++) x[c] = (float)surf->f.dims[c] * (3 * at[c] / ORL_GROUND_SIDE - 1);
+            x[2] = frame_ground_height(&surf->f, x);
+            stage2_albedo(s2, x, a);
+            for (int c = 0; c < 3; c++) sum[c] += a[c];
+        }
+        for (int c = 0; c < 3; c++) out[t][c] = quant8(sqrtf(sum[c] / (SUB * SUB)));
+    }
+}
+
 orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, const char *title, size_t *bytes)
 {
     orl_scene sc = { 0 };
@@ -36,10 +53,11 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     sc.light = s2->light;
     snprintf(sc.title, sizeof sc.title, "%s", title);
     size_t n = surf->nbricks;
+    uint8_t (*ground)[3] = malloc((size_t)ORL_GROUND_SIDE * ORL_GROUND_SIDE * sizeof *ground);
     int8_t *sdf = malloc(n * ORL_BRICK_VERTS + 1), *shadow = malloc(n * ORL_LITE_VERTS * ORL_SHADOW_DIM + 1);
     uint8_t *albedo = malloc(n * ORL_BRICK_VERTS * 3 + 1), *lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
     orl_err e = ORL_OK;
-    if (!sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
+    if (!ground || !sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
     shadow_scales(surf, s2, sc.shadow_scale);
     for (size_t i = 0; i < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; i++) {
         if (surf->bmap[i] < 0) continue;
@@ -65,6 +83,9 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
             }
         }
     }
+    ground_texels(surf, s2, ground);
+    memcpy(sc.ground, f->ground, sizeof sc.ground);
+    sc.ground_albedo = ground[0];
     sc.bmap = surf->bmap;
     sc.sdf = sdf;
     sc.albedo = albedo;
@@ -76,6 +97,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     }
     e = orl_scene_write(path, &sc, bytes);
 done:
+    free(ground);
     free(sdf);
     free(shadow);
     free(albedo);

@@ -62,11 +62,6 @@ static void depth_interpolate(const world *w, const stereo *st, int k, depth_map
     free(block);
 }
 
-/* Ground z = at[0] + at[1] x + at[2] y, fine cells. */
-typedef struct { float at[3]; } ground;
-
-static float ground_height(const ground *g, const float x[3]) { return g->at[0] + g->at[1] * x[0] + g->at[2] * x[1]; }
-
 static int by_float(const void *a, const void *b)
 {
     float x = *(const float *)a, y = *(const float *)b;
@@ -74,23 +69,23 @@ static int by_float(const void *a, const void *b)
 }
 
 /* Share of cameras over the ground. */
-static float cameras_over(const world *w, const ground *g)
+static float cameras_over(const world *w, const frame *g)
 {
     int n = 0;
     for (int k = 0; k < w->nphotos; k++) {
         float c[3] = { (float)w->photos[k].centre[0], (float)w->photos[k].centre[1], (float)w->photos[k].centre[2] };
-        n += c[2] > ground_height(g, c);
+        n += c[2] > frame_ground_height(g, c);
     }
     return (float)n / (float)w->nphotos;
 }
 
-/* Most photographers stand on the ground: it is the level below their heads where most stereo points look up, then a plane through those around it (steps left out: its tilt is held
+/* The frame with its ground found. Most photographers stand on the ground: it is the level below their heads where most stereo points look up, then a plane through those around it (steps left out: its tilt is held
  * small). Without such points, a little below the lower photographers. */
-static ground ground_find(const world *w, const stereo *st)
+static frame ground_find(const world *w, const stereo *st)
 {
     enum { BINS = 160 };
     const int *dims = w->frame.dims;
-    float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS, heads = w->frame.ground;
+    float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS, heads = w->frame.ground[0];
     float *z = malloc((size_t)w->nphotos * sizeof *z);
     for (int k = 0; z && k < w->nphotos; k++) z[k] = (float)w->photos[k].centre[2];
     if (z) {
@@ -98,7 +93,9 @@ static ground ground_find(const world *w, const stereo *st)
         heads = z[w->nphotos * 3 / 10];
     }
     free(z);
-    const ground guess = { { fminf(w->frame.ground, heads - 0.015f * (float)dims[0]), 0, 0 } };
+    frame guess = w->frame, g = w->frame;
+    guess.ground[0] = fminf(guess.ground[0], heads - 0.015f * (float)dims[0]);
+    guess.ground[1] = guess.ground[2] = 0;
     for (uint32_t i = 0; st && i < st->npoints; i++) {
         const stereo_point *q = &st->points[i];
         int b = (int)floorf(q->x[2] / bin);
@@ -109,12 +106,13 @@ static ground ground_find(const world *w, const stereo *st)
     int level = 0;
     for (int b = 0; b < BINS; b++) if (share[b] > most) most = share[level = b];
     if (most < 200) return guess;
-    ground g = { { (float)level * bin, 0, 0 } };
+    g.ground[0] = (float)level * bin;
+    g.ground[1] = g.ground[2] = 0;
     for (int round = 0; round < 8; round++) {   /* reweighted least squares */
         double a = 0, b = 0, c = 0, d = 0, e = 0, f = 0, r0 = 0, r1 = 0, r2 = 0, mx = 0.5 * dims[0], my = 0.5 * dims[1], tilt = 0.15 * dims[0] * 0.15 * dims[0];
         for (uint32_t i = 0; i < st->npoints; i++) {
             const stereo_point *q = &st->points[i];
-            double r = (q->x[2] - ground_height(&g, q->x)) / bin, k = q->weight / ((1 + r * r) * (1 + r * r)), x = q->x[0] - mx, y = q->x[1] - my;
+            double r = (q->x[2] - frame_ground_height(&g, q->x)) / bin, k = q->weight / ((1 + r * r) * (1 + r * r)), x = q->x[0] - mx, y = q->x[1] - my;
             if (q->n[2] < 0.85f || r * r > 4) continue;
             a += k; b += k * x; c += k * y; d += k * (x * x + tilt); e += k * x * y; f += k * (y * y + tilt);
             r0 += k * q->x[2]; r1 += k * x * q->x[2]; r2 += k * y * q->x[2];
@@ -125,7 +123,9 @@ static ground ground_find(const world *w, const stereo *st)
         double sx = (a * (r1 * f - r2 * e) - r0 * (b * f - c * e) + c * (b * r2 - c * r1)) / det;
         double sy = (a * (d * r2 - e * r1) - b * (b * r2 - c * r1) + r0 * (b * e - c * d)) / det;
         if (!(fabs(sx) < 0.1) || !(fabs(sy) < 0.1)) break;
-        g = (ground){ { (float)(z0 - sx * mx - sy * my), (float)sx, (float)sy } };
+        g.ground[0] = (float)(z0 - sx * mx - sy * my);
+        g.ground[1] = (float)sx;
+        g.ground[2] = (float)sy;
     }
     return cameras_over(w, &g) > 0.7f ? g : guess;
 }
@@ -148,7 +148,7 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
 #define SAY_BEHIND 0.004f
 #define SAY_GROUND 0.5f
 
-typedef struct { const world *w; const stereo *st; const depth_map *maps; uint32_t **hits; ground ground; int cell, n[3]; float *field; } carve_job;
+typedef struct { const world *w; const stereo *st; const depth_map *maps; uint32_t **hits; int cell, n[3]; float *field; } carve_job;
 
 static void say(float weight, float distance, float sum[2])
 {
@@ -197,7 +197,7 @@ static void carve_range(void *user, int begin, int end)
         for (int y = 0; y < j->n[1]; y++)
             for (int x = 0; x < j->n[0]; x++) {
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
-                float over = g[2] - ground_height(&j->ground, g), sum[2] = { 0, 0 };
+                float over = g[2] - frame_ground_height(&j->w->frame, g), sum[2] = { 0, 0 };
                 if (over < SPAN) say(SAY_GROUND, over, sum);
                 for (int k = 0; k < j->w->nphotos; k++) vote(j, k, g, over < 0, sum);
                 j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = sum[1] > 0 ? sum[0] / sum[1] : SPAN;
@@ -267,9 +267,10 @@ static void smooth(float *f, float *tmp, const int n[3])
     }
 }
 
-orl_err hull_build(const world *w, const stereo *st, int cell, int threads, float **sdf)
+orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sdf)
 {
-    carve_job j = { .w = w, .st = st, .ground = ground_find(w, st), .cell = cell };
+    carve_job j = { .w = w, .st = st, .cell = cell };
+    w->frame = ground_find(w, st);
     for (int a = 0; a < 3; a++) j.n[a] = w->frame.dims[a] / cell + 1;
     size_t total = (size_t)j.n[0] * (size_t)j.n[1] * (size_t)j.n[2];
     depth_map *maps = malloc((size_t)w->nphotos * sizeof *maps);

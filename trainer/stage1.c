@@ -11,6 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/fuse.h"
 
 enum { MAX_SAMPLES = 64, MAX_MARCH = 128 };
 static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] = { 2, 8 };
@@ -18,6 +19,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 
 /* Weights of the loss terms; the photometric one is scaled so that it is the plain squared error where no transient is. */
 #define PHOTO_SHAPES 0.2f        /* share of the photometric and sky gradients that moves the surface: light differs from photo to photo, and its noise is not shape */
+#define SKY_SHAPES 1.0f          /* the same for rays that end in the sky: no light excuses a surface there */
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_EIKONAL 0.01f
 #define LAMBDA_SMOOTH 0.03f
@@ -50,6 +52,58 @@ static void start_level(grid *g, const int dims[3], const float *lattice, int ce
                 g->p[i] = v;
                 grid_mark(g, i);
             }
+}
+
+typedef struct { stage1 *s; fuse f; } fuse_job;
+
+#define FUSE_BAND 4.0f           /* fine cells from the hull's surface */
+
+static void fuse_slices(void *user, int begin, int end)
+{
+    fuse_job *j = user;
+    const grid *hull = &j->s->hull;
+    grid *g = &j->s->fused;
+    const int *dims = j->s->w->frame.dims;
+    for (int z = begin; z < end; z++)
+        for (int y = 0; y <= dims[1]; y++)
+            for (int x = 0; x <= dims[0]; x++) {
+                float q[3] = { (float)x, (float)y, (float)z }, side[3] = { 0 }, sure;
+                grid_cell c;
+                grid_find(hull, q, &c);
+                float at = grid_value(hull, &c, NULL);
+                if (fabsf(at) > FUSE_BAND) continue;
+                grid_value(hull, &c, side);
+                float f = fuse_distance(&j->f, q, side, &sure);
+                if (sure > 0) g->p[grid_at(g, x, y, z)] = sure * (f - at);
+            }
+}
+
+/* The finest level: where stereo points lie, their moving least squares instead of the hull. */
+static orl_err start_fused(stage1 *s)
+{
+    fuse_job j = { .s = s };
+    orl_err e = grid_init(&s->fused, s->w->frame.dims, 1, 1, 0);
+    if (e || !s->st || !s->st->npoints) return e;
+    if ((e = fuse_init(&j.f, s->st, s->w->frame.dims))) return e;
+    orl_parallel(s->opt.threads, s->w->frame.dims[2] + 1, 1, fuse_slices, &j);
+    fuse_free(&j.f);
+    for (size_t i = 0; i < s->fused.nverts; i++) {
+        if (s->fused.p[i] == 0) continue;
+        s->sdf[0].p[i] = s->fused.p[i];
+        grid_mark(&s->fused, i);
+        grid_mark(&s->sdf[0], i);
+    }
+    return ORL_OK;
+}
+
+/* The first SDF, fine cells. */
+static float first_value(const stage1 *s, const float x[3])
+{
+    grid_cell c;
+    grid_find(&s->hull, x, &c);
+    float f = grid_value(&s->hull, &c, NULL);
+    grid_find(&s->fused, x, &c);
+    return f + grid_value(&s->fused, &c, NULL);
 }
 
 orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
@@ -85,6 +139,7 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
     start_level(&s->sdf[2], w->frame.dims, hull, cell, NULL);
     start_level(&s->sdf[1], w->frame.dims, hull, cell, &s->sdf[2]);
     free(hull);
+    if ((e = start_fused(s))) return e;
     for (int k = 0; k < w->nphotos; k++) {
         const world_photo *p = &w->photos[k];
         size_t i = grid_at(&s->codes, k, 0, 0);
@@ -113,6 +168,7 @@ void stage1_free(stage1 *s)
     for (int l = 0; l < SDF_LEVELS; l++) grid_free(&s->sdf[l]);
     for (int l = 0; l < FEAT_LEVELS; l++) grid_free(&s->feat[l]);
     grid_free(&s->hull);
+    grid_free(&s->fused);
     grid_free(&s->codes);
     grid_free(&s->transient);
 }
@@ -124,7 +180,7 @@ static schedule schedule_at(const stage1 *s)
 {
     float t = (float)s->step / (float)(s->opt.steps > 0 ? s->opt.steps : 1);
     schedule c;
-    c.finest = t < 0.2f ? 1 : 0;
+    c.finest = t < 0.2f && !(s->st && s->st->npoints) ? 1 : 0;
     float u = t < 0.9f ? t / 0.9f : 1.0f;
     int longest = 0;
     for (int a = 0; a < 3; a++) longest = s->w->frame.dims[a] > longest ? s->w->frame.dims[a] : longest;
@@ -235,9 +291,7 @@ static void train_free(step_job *job, int thread, rng *r, const float o[3], cons
     if (!box_clip(s->w->frame.dims, o, d, &t0, &t1)) return;
     float t = t0 + (t1 - t0) * rng_f(r);
     for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
-    grid_cell hc;
-    grid_find(&s->hull, x, &hc);
-    float want = 0.7f * (grid_value(&s->hull, &hc, NULL) - 1.0f);
+    float want = 0.7f * (first_value(s, x) - 1.0f);
     if (want < 0.5f) return;
     sdf_point e;
     sdf_eval(s, job->c.finest, x, &e);
@@ -366,7 +420,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         for (int a = 0; a < 3; a++) dist += (q->x[a] - o[a]) * d[a];
         /* Near a camera few others look on and floaters grow: gradients fade there (Philip & Deschaintre 2023). */
         float near = dist < p->near ? dist * dist / (p->near * p->near) : 1;
-        float shapes = PHOTO_SHAPES * near;
+        float shapes = (sky ? SKY_SHAPES : PHOTO_SHAPES) * near;
         if (!s->heuristics) near = shapes = 1;
         if (!sky && q->weight >= 1e-3f) {
             v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
@@ -383,9 +437,7 @@ static void train_ray(step_job *job, int thread, rng *r)
             df -= shapes * da * ratio * (1 - q->s_val) * inv_s;
             if (q->chained) carry = shapes * da * ratio * (1 - ray[k - 1].s_val) * inv_s;
         }
-        grid_cell hc;
-        grid_find(&s->hull, q->x, &hc);
-        float off = q->p.f - grid_value(&s->hull, &hc, NULL);
+        float off = q->p.f - first_value(s, q->x);
         L->total += LAMBDA_HULL * huber(off, 2.0f);
         df += LAMBDA_HULL * huber_slope(off, 2.0f);
         float norm = sqrtf(q->p.grad[0] * q->p.grad[0] + q->p.grad[1] * q->p.grad[1] + q->p.grad[2] * q->p.grad[2]) + 1e-6f;

@@ -23,7 +23,7 @@ typedef struct {
     stage1_options opt;
     int step, heuristics;           /* fading near cameras, the photos' share in the shape and weight-scaled smoothness are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
-    grid hull;                      /* the first SDF, kept: the surface stays near it unless photos insist */
+    grid hull, fused;               /* the first SDF, kept (cells of 2), and what the fused points add to it (cells of 1): the surface stays near their sum unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
     grid codes;                     /* per photo: appearance code 0..3, gain 4..6, bias 7..9, background 10..12 */
     grid transient;                 /* per photo, every 8 pixels: logit of alpha, RGB, beta before softplus */

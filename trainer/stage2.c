@@ -23,7 +23,8 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         surface_hit h;
         int hit = surface_march(s->surf, o, d, &h);
         int sky = label == WORLD_SKY || (!hit && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
-        if (hit == sky || (sky && sky_left == 0)) continue;
+        int ground = !hit && !sky && surface_ground(s->surf, o, d, &h);
+        if ((hit || ground) == sky || (sky && sky_left == 0)) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
         float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
@@ -36,8 +37,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
             n++;
             continue;
         }
-        if (!hit) continue;
-        q->surface = 1;
+        q->surface = ground ? 2 : 1;
         memcpy(q->x, h.x, sizeof h.x);
         memcpy(q->n, h.n, sizeof h.n);
         float teacher[3], diff = 0;
@@ -47,6 +47,11 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         if (at > 0.5f || diff > 0.6f) {
             for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
             q->weight = 64;
+        }
+        if (ground) {
+            q->open = 255;
+            n++;
+            continue;
         }
         grid_cell c;
         v8 v[3] = { { 0 } };
@@ -185,6 +190,13 @@ void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], 
     out->cov = 1;
 }
 
+void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out)
+{
+    memset(out, 0, sizeof *out);
+    stage2_albedo(s, x, out->albedo);
+    out->normal[2] = out->open = out->cov = 1;
+}
+
 static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, cells *c)
 {
     memset(o, 0, sizeof *o);
@@ -196,6 +208,7 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
     }
     look_up(s, q->x, o, c);
     memcpy(o->normal, q->n, sizeof o->normal);
+    if (q->surface == 2) memset(o->phi, 0, sizeof o->phi);
     o->open = q->open * (1.0f / 255.0f);
     for (int a = 0; a < ORL_HORIZON; a++) o->horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
     o->cov = 1;
@@ -267,6 +280,7 @@ static void grad_photos(void *user, int begin, int end)
                 v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
                 static const float PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 };   /* detail that few pixels ask for stays away */
                 for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da + PLAIN[l] * c.level[l]);
+                if (q->surface == 2) continue;
                 v8 dp[1];
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + 1e-4f * o.phi[a];
                 grid_vector_back(&s->shadow, t, &c.s, 1, dp);

@@ -11,7 +11,7 @@ typedef struct {
     float x[3], n[3];               /* surface point and normal; sky: x = direction */
     uint8_t open, horizon[ORL_HORIZON];
     uint8_t rgb[3];                 /* target */
-    uint8_t weight, surface;        /* weight / 255; 1 surface, 0 sky */
+    uint8_t weight, surface;        /* weight / 255; 0 sky, 1 surface, 2 ground beyond it */
 } stage2_pixel;
 
 typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo; steps per round */
@@ -40,6 +40,8 @@ void stage2_round(stage2 *s, stage2_losses *out);
 void stage2_prior(stage2 *s);
 /* Fills albedo, phi, open, horizon of a surface sample at x with normal n. */
 void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out);
+/* The same for the ground beyond the surface: open, no horizon, no shadow features. */
+void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out);
 void stage2_albedo(const stage2 *s, const float x[3], float rgb[3]);
 orl_err stage2_save(const stage2 *s, FILE *f, int moments);
 orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path);

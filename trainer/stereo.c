@@ -11,7 +11,7 @@
 #include "oriel/parallel.h"
 #include "trainer/grid.h"
 
-enum { LEVELS = 3, COMPANIONS = 8, TRUSTED = 4, BEST = 3, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 3, WINDOW = 25, PADDED = 32 };
+enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 4, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, WINDOW = 61, PADDED = 64 };
 #define COST_MAX 2.0f           /* 1 - correlation */
 #define COST_KEEP 0.6f
 #define GEOMETRY 0.15f          /* cost of a pixel of disagreement, 3 pixels at most */
@@ -159,7 +159,7 @@ static void choose_companions(const world *w, shot *shots, int k, rank *order, u
         depth[n++] = (float)z;
     }
     qsort(depth, (size_t)n, sizeof *depth, by_float);
-    s->z_min = n ? fmaxf(0.35f * depth[n / 50], 1) : 1;
+    s->z_min = n ? fmaxf(0.12f * depth[n / 50], 1) : 1;
     s->z_max = n ? 2.0f * depth[n - 1 - n / 50] : 1e4f;
     for (int j = 0; j < w->nphotos; j++) {
         const world_photo *q = &w->photos[j];
@@ -230,11 +230,11 @@ static float OFFSET_X[PADDED] __attribute__((aligned(64))), OFFSET_Y[PADDED] __a
 static void tables_make(void)
 {
     for (int i = 0; i < WINDOW; i++) {
-        OFFSET_X[i] = (float)(2 * i % 7 - RADIUS);
-        OFFSET_Y[i] = (float)(2 * i / 7 - RADIUS);
+        OFFSET_X[i] = (float)(2 * i % 11 - RADIUS);
+        OFFSET_Y[i] = (float)(2 * i / 11 - RADIUS);
         NEARNESS[i] = expf(-(OFFSET_X[i] * OFFSET_X[i] + OFFSET_Y[i] * OFFSET_Y[i]) / (2 * RADIUS * RADIUS));
     }
-    for (int i = 0; i < 256; i++) LIKENESS[i] = i < 45 ? expf(-(float)i / 12.0f) : 0;
+    for (int i = 0; i < 256; i++) LIKENESS[i] = i < 160 ? expf(-(float)i / 20.0f) : 0;
 }
 
 static void patch_make(const picture *p, int x, int y, patch *out)

@@ -192,6 +192,15 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
     return 0;
 }
 
+int surface_ground(const surface *s, const float o[3], const float d[3], surface_hit *hit)
+{
+    if (!frame_ground_hit(&s->f, o, d, &hit->t)) return 0;
+    for (int a = 0; a < 3; a++) hit->x[a] = o[a] + hit->t * d[a];
+    hit->n[0] = hit->n[1] = 0;
+    hit->n[2] = 1;
+    return 1;
+}
+
 typedef struct { const surface *s; const world *w; uint8_t *seen; } prune_job;
 
 static void prune_range(void *user, int begin, int end)

@@ -25,6 +25,8 @@ orl_err surface_light(surface *s, int threads);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
+/* The ground where o + t d meets no surface: a pruned brick's place, the far side of the box. hit->x may lie outside the box. */
+int surface_ground(const surface *s, const float o[3], const float d[3], surface_hit *hit);
 float surface_value(const surface *s, const float x[3]);
 orl_err surface_save(const surface *s, FILE *f);
 orl_err surface_load(surface *s, FILE *f, const char *path);

@@ -41,6 +41,16 @@ orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const
     return ORL_OK;
 }
 
+float frame_ground_height(const frame *f, const float x[3]) { return f->ground[0] + f->ground[1] * x[0] + f->ground[2] * x[1]; }
+
+int frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t)
+{
+    float over = o[2] - frame_ground_height(f, o), fall = d[2] - f->ground[1] * d[0] - f->ground[2] * d[1];
+    if (!(over > 0) || !(fall < -ORL_GROUND_FALL)) return 0;
+    *t = over / -fall;
+    return *t < ORL_GROUND_FAR;
+}
+
 int box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1)
 {
     float a = 0, b = 1e30f;
@@ -157,7 +167,7 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
         if (f->dims[a] < 32) f->dims[a] = 32;
         f->offset[a] = 0.5 * f->dims[a] - 0.5 * (lo[a] + hi[a]) * f->scale;
     }
-    f->ground = (float)(ground * f->scale + f->offset[2]);
+    f->ground[0] = (float)(ground * f->scale + f->offset[2]);
     return ORL_OK;
 }
 

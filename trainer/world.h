@@ -3,13 +3,14 @@
 #define TRAINER_WORLD_H
 #include <string.h>
 #include "oriel/dataset.h"
+#include "oriel/scene.h"
 
 /* Similarity world -> grid: z up, one unit = one fine cell, the box is [0, dims]. */
 typedef struct {
     double R[9];                    /* world -> scene axes (z up) */
     double scale, offset[3];        /* grid = scale * R * world + offset */
     int dims[3];                    /* fine cells, multiples of 16 */
-    float ground;                   /* estimated height of the ground, fine cells */
+    float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, fine cells: a guess until the hull is built */
 } frame;
 
 typedef struct {
@@ -41,6 +42,9 @@ typedef struct {
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out);
 void world_free(world *w);
 void frame_apply(const frame *f, const double world[3], double grid[3]);
+float frame_ground_height(const frame *f, const float x[3]);
+/* Distance t > 0 along o + t d (unit) to the ground, from above; 0: looks over the horizon. */
+int  frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t);
 /* Unit ray of pixel (u, v) in the grid frame. */
 void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
@@ -64,8 +68,8 @@ orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const
 int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1);
 
 struct stereo;
-/* First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
-orl_err hull_build(const world *w, const struct stereo *st, int cell, int threads, float **sdf);
+/* Finds the ground (frame.ground). First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
+orl_err hull_build(world *w, const struct stereo *st, int cell, int threads, float **sdf);
 /* Pixels labelled scene whose rays miss the hull (clouds taken for stone, a background outside the box) become unknown: nothing is asked of the surface there. */
 void hull_relabel(world *w, const float *sdf, int cell, int threads);
 #endif
