@@ -1,4 +1,4 @@
-/* Many noisy oriented points to one surface: the points that other photos see through leave, normals are refitted, and distances follow by moving least squares. */
+/* Many noisy oriented points to one surface, by moving least squares. */
 #ifndef TRAINER_FUSE_H
 #define TRAINER_FUSE_H
 #include "trainer/stereo.h"
@@ -14,7 +14,4 @@ orl_err fuse_init(fuse *f, const stereo *st, const int dims[3]);
 void fuse_free(fuse *f);
 /* Signed distance at x by the points near it whose normals are within 90 degrees of `side`, positive in free space, fine cells; *sure: 0 (no point near) .. 1. */
 float fuse_distance(const fuse *f, const float x[3], const float side[3], float *sure);
-
-/* Takes out points that more photos see through than confirm, and refits normals to the points around. */
-orl_err fuse_clean(stereo *st, const world *w, int threads);
 #endif
