@@ -5,7 +5,7 @@
 #   make bench        run time against error, kernels against memcpy
 #   make deps         Debian packages by name (nothing when all are there)
 #   make BOARD=rpi4   the runtime for aarch64 (boards/*.mk); also rpi5
-#   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native
+#   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native  MPI= (without MPI, though mpicc is there)
 BOARD ?= host
 TRAIN_ARCH ?= -march=native
 # a comma for use in function arguments
@@ -34,7 +34,10 @@ KERNELS := $(wildcard runtime/kernels/*.c)
 NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c)
 LIB := $(wildcard formats/*.c) $(filter-out runtime/main.c runtime/cmd_%.c,$(wildcard runtime/*.c)) $(filter-out $(NOT),$(KERNELS))
 APP := $(wildcard runtime/main.c runtime/cmd_*.c)
-TRAIN := $(filter-out trainer/main.c,$(wildcard trainer/*.c)) $(wildcard trainer/*.cpp)
+MPI ?= $(if $(SAN),,$(shell command -v mpicc))
+MPI_SHOW := $(if $(MPI),$(shell mpicc -show))
+MPI_LIBS := $(if $(MPI),-Wl$(,)--as-needed $(filter -L% -l%,$(MPI_SHOW)))
+TRAIN := $(filter-out trainer/main.c $(if $(MPI),trainer/ranks.c,trainer/ranks_mpi.c),$(wildcard trainer/*.c)) $(wildcard trainer/*.cpp)
 TESTS := $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/test_*.c))
 TOOLS := $(patsubst tests/tools/%.c,$B/tools/%,$(wildcard tests/tools/*.c)) $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/bench_*.c))
 obj = $(patsubst %,$B/obj/%.o,$(basename $(1)))
@@ -48,13 +51,13 @@ $B/%.a:
 $B/oriel: $(call obj,$(APP)) $B/liboriel.a
 	$(CC) $(LINK) -o $@ $^ $(LIBS)
 $B/oriel-train: $B/obj/trainer/main.o $B/libtrainer.a $B/liboriel.a
-	$(CXX) $(LINK) -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(LIBS)
+	$(CXX) $(LINK) -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(LIBS) $(MPI_LIBS)
 $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
 	@mkdir -p $(@D)
-	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS)
+	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS) $(MPI_LIBS)
 $B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a) $B/liboriel.a
 	@mkdir -p $(@D)
-	$(CC) $(LINK) -o $@ $^ $(LIBS)
+	$(CXX) $(LINK) -o $@ $^ $(if $(filter host,$(BOARD)),-Wl$(,)--as-needed -lOpenImageIO -lOpenImageIO_Util) $(LIBS) $(MPI_LIBS)
 $B/obj/%.o: %.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<
@@ -63,6 +66,7 @@ $B/obj/%.o: %.cpp
 	$(CXX) -std=c++17 $(FLAGS) $(ISA) -c -o $@ $<
 $B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
 $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
+$B/obj/trainer/ranks_mpi.o: ISA = $(filter -I%,$(MPI_SHOW))
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
 $(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 

@@ -29,7 +29,7 @@ static void make_world(world *w)
             sky[i] = i < 24 * 6 ? 255 : 0;
             for (int a = 0; a < 3; a++) rgb[3 * i + a] = (uint8_t)((i * 37 + a * 91 + k * 50) % 256);
         }
-        assert_int_equal(world_photo_fill(p, 24, 24, rgb, sky), ORL_OK);
+        assert_int_equal(world_photo_fill(p, 24, 24, rgb, sky, 0), ORL_OK);
         p->obs_begin = (uint32_t)k * 16;
         p->obs_count = 16;
     }

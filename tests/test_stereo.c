@@ -67,7 +67,7 @@ static void make(world *w, int photos, int flat)
                 float g = flat ? 90 : (40.0f + 20.0f * (float)(k % 3)) + (120.0f - 15.0f * (float)(k % 4)) * texture(0.45f * u + post, 0.45f * v);
                 for (int c = 0; c < 3; c++) rgb[3 * (y * W + x) + c] = (uint8_t)(g + 0.5f);
             }
-        assert_int_equal(world_photo_fill(p, W, H, rgb, NULL), ORL_OK);
+        assert_int_equal(world_photo_fill(p, W, H, rgb, NULL, 0), ORL_OK);
         p->obs_begin = (uint32_t)(k * POINTS);
         p->obs_count = POINTS;
         for (uint32_t i = 0; i < POINTS; i++) w->obs[p->obs_begin + i].point = i;

@@ -1,6 +1,7 @@
 /* `oriel-train fit`: photos in, scene file out. Stages, checkpoints, progress. */
 #include <getopt.h>
 #include <math.h>
+#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -10,6 +11,7 @@
 #include "oriel/sky.h"
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
+#include "trainer/ranks.h"
 
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {
@@ -31,11 +33,12 @@ static const char USAGE[] =
     "      --steps N          stage 1 steps, instead of the preset's\n"
     "      --rounds N         stage 2 rounds, instead of the preset's\n"
     "      --cells N          fine cells along the longest side of the box, 64 to 2048, instead of the preset's\n"
+    "      --long-side N      pixels along a photo's longer side, 64 to 8192, instead of the preset's\n"
     "      --checkpoint-seconds S  between two checkpoints, default 30\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
     "      --no-masks         do not read given masks (sky is segmented by the program)\n"
-    "      --seed N           default 1; runs repeat for the same seed and thread count\n"
-    "      --threads N        default: all cores\n"
+    "      --seed N           default 1; runs repeat for the same seed and number of threads (of all ranks)\n"
+    "      --threads N        default: all cores, shared out among the ranks of a machine\n"
     "      --json             figures on standard output at the end\n"
     "      --help\n";
 
@@ -53,10 +56,19 @@ static double cpu_now(void)
     return (double)u.ru_utime.tv_sec + (double)u.ru_stime.tv_sec + 1e-6 * (double)(u.ru_utime.tv_usec + u.ru_stime.tv_usec);
 }
 
+/* To standard error, once for all ranks. */
+static void tell(const char *format, ...)
+{
+    va_list a;
+    va_start(a, format);
+    if (!ranks_mine()) vfprintf(stderr, format, a);
+    va_end(a);
+}
+
 static void warn_line(void *user, const char *line)
 {
     (void)user;
-    fprintf(stderr, "oriel-train: %s\n", line);
+    tell("oriel-train: %s\n", line);
 }
 
 /* A line that redraws itself on a terminal, and a plain one every half minute elsewhere. */
@@ -65,7 +77,7 @@ static void progress(double start, double done, const char *text)
     static double last;
     int tty = isatty(STDERR_FILENO);
     double t = now(), left = done > 0 ? (t - start) * (1 - done) / done : 0;
-    if (t - last < (tty ? 0.5 : 30) && done < 1) return;
+    if (ranks_mine() || (t - last < (tty ? 0.5 : 30) && done < 1)) return;
     last = t;
     char bar[21];
     for (int i = 0; i < 20; i++) bar[i] = (double)i < done * 20 ? '#' : '.';
@@ -99,12 +111,22 @@ typedef struct {
 
 static orl_err save(run *r)
 {
+    if (ranks_mine()) return ORL_OK;
     checkpoint_parts p = { &r->w, r->maps, &r->st, &r->s1, &r->surf, &r->s2 };
     r->head.seconds = r->before + now() - r->start;
-    r->head.cpu_seconds = r->before_cpu + cpu_now() - r->cpu0;
+    r->head.cpu_seconds = r->before_cpu + (cpu_now() - r->cpu0) * ranks_count();
     orl_err e = checkpoint_save(r->o->ckpt, &r->head, &p);
     r->last_save = now();
     return e;
+}
+
+/* The time budget's share is spent: rank 0's clock tells. */
+static int spent(const run *r, double share)
+{
+    int yes = now() - r->start > share * 60 * r->o->budget;
+    if (!(r->o->budget > 0)) return 0;
+    ranks_share(0, &yes, sizeof yes);
+    return yes;
 }
 
 static orl_err save_sometimes(run *r) { return now() - r->last_save >= r->o->checkpoint_seconds ? save(r) : ORL_OK; }
@@ -150,7 +172,7 @@ static orl_err run_stereo(run *r)
     stereo_end(r->maps);
     r->maps = NULL;
     if (e || (e = stage1_start(&r->s1, &r->w, &r->st))) return e;
-    fprintf(stderr, "stereo: %u points, %.1f s\n", r->st.npoints, now() - r->start);
+    tell("stereo: %u points, %.1f s\n", r->st.npoints, now() - r->start);
     r->head.phase = 1;
     return save(r);
 }
@@ -160,7 +182,7 @@ static orl_err run_stage1(run *r)
     stage1 *s = &r->s1;
     stage1_losses mean = { 0 };
     int first = s->step;
-    double t = now(), budget = r->o->budget * 60;
+    double t = now();
     orl_err e;
     while (s->step < r->head.steps) {
         stage1_losses l;
@@ -168,15 +190,17 @@ static orl_err run_stage1(run *r)
         r->head.samples += l.samples;
         double k = s->step - first < 50 ? 1.0 / (s->step - first) : 0.02;
         for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
-        if (budget > 0 && now() - r->start > 0.75 * budget) s->opt.steps = r->head.steps = s->step;
+        if (spent(r, 0.75)) s->opt.steps = r->head.steps = s->step;
         char text[200];
         snprintf(text, sizeof text, "stage 1  step %d  PSNR %.2f  sky %.3f  eikonal %.3f  points %.2f  transient %.3f  %.1f samples/ray", s->step, -10 * log10(mean.mse + 1e-9),
                  mean.sky, mean.eikonal, mean.points, mean.transient, mean.samples / r->head.rays);
         progress(t, (double)(s->step - first) / (r->head.steps - first), text);
         if ((e = save_sometimes(r))) return e;
     }
+    stage1_freeze(s);
+    stereo_free(&r->st);
     if ((e = surface_build(s, &r->surf)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
-    fprintf(stderr, "surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
+    tell("surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
     if ((e = stage2_init(&r->s2, &r->w, &r->surf, s, &r->light, &r->o2))) return e;
     r->head.phase = 2;
     return ORL_OK;
@@ -191,7 +215,7 @@ static orl_err run_stage2(run *r)
     while (s->round < r->head.rounds) {
         stage2_losses l;
         stage2_round(s, &l);
-        if (r->o->budget > 0 && now() - r->start > r->o->budget * 60) s->opt.rounds = r->head.rounds = s->round;
+        if (spent(r, 1)) s->opt.rounds = r->head.rounds = s->round;
         char text[200];
         snprintf(text, sizeof text, "stage 2  round %d  PSNR %.2f  codes' rms %.3f  degenerate %d", s->round, -10 * log10(l.mse + 1e-9), l.adapt_rms, l.degenerate);
         progress(t, (double)(s->round - first) / (r->head.rounds - first), text);
@@ -223,7 +247,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     if (head->place && head->place != place) { e = orl_fail(ORL_E_FORMAT, "%s: made from other photos or cameras than those of %s", o->ckpt, d->dir); goto done; }
     head->nphotos = r.w.nphotos;
     head->place = place;
-    fprintf(stderr, "%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, r.w.nphotos, r.w.npoints, r.w.frame.dims[0], r.w.frame.dims[1], r.w.frame.dims[2],
+    tell("%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, r.w.nphotos, r.w.npoints, r.w.frame.dims[0], r.w.frame.dims[1], r.w.frame.dims[2],
             1 / r.w.frame.scale, now() - r.start);
     stage1_options o1 = { head->rays, head->steps, head->seed, head->threads, 0 };
     r.o2 = (stage2_options){ head->pixels, head->rounds, ROUND_STEPS, head->seed, head->threads };
@@ -237,6 +261,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     if (head->phase == 0 && (e = run_stereo(&r))) goto done;
     if (head->phase == 1 && (e = run_stage1(&r))) goto done;
     if (head->phase == 2 && (e = run_stage2(&r))) goto done;
+    if (ranks_mine()) goto done;
     if ((e = export_scene(o->output, &r.surf, &r.s2, r.w.title, &bytes)) || (e = save(&r))) goto done;
     struct rusage u;
     getrusage(RUSAGE_SELF, &u);
@@ -277,14 +302,14 @@ static int whole(const char *text, int lo, int hi, int *out)
 
 int cmd_fit(int argc, char **argv)
 {
-    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, CHECKPOINT, SKY, NO_MASKS, SEED, THREADS, JSON };
+    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, SEED, THREADS, JSON };
     static const struct option LONG[] = {
         { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
-        { "cells", 1, 0, CELLS }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
+        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
     fit_options o = { .use_masks = 1, .checkpoint_seconds = 30 };
     const preset *p = &PRESETS[2];
-    int c, ok = 1, steps = 0, rounds = 0, cells = 0, threads = orl_cores();
+    int c, ok = 1, steps = 0, rounds = 0, cells = 0, long_side = 0, threads = 0;
     double seed = 1;
     while ((c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) {
         switch (c) {
@@ -299,6 +324,7 @@ int cmd_fit(int argc, char **argv)
         case BUDGET: ok = number(optarg, 0, 1e6, &o.budget); break;
         case STEPS: ok = whole(optarg, 1, 10000000, &steps); break;
         case ROUNDS: ok = whole(optarg, 1, 100000, &rounds); break;
+        case LONG_SIDE: ok = whole(optarg, 64, 8192, &long_side); break;
         case CELLS: ok = whole(optarg, 64, 2048, &cells); break;
         case CHECKPOINT: ok = number(optarg, 0, 1e9, &o.checkpoint_seconds); break;
         case SKY: o.sky = optarg; break;
@@ -313,14 +339,19 @@ int cmd_fit(int argc, char **argv)
     }
     if (optind + 1 != argc || !o.output[0]) { fputs(USAGE, stderr); return 2; }
     snprintf(o.ckpt, sizeof o.ckpt, "%s.ckpt", o.output);
-    if (threads > GRID_THREADS) threads = GRID_THREADS;
-    o.head = (checkpoint_header){ .long_side = p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .threads = threads, .seed = (uint64_t)seed };
+    o.head = (checkpoint_header){ .long_side = long_side ? long_side : p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .seed = (uint64_t)seed };
+    ranks_start();
+    if (!threads) threads = orl_cores() / ranks_here() > 1 ? orl_cores() / ranks_here() : 1;
+    o.head.threads = threads < GRID_THREADS ? threads : GRID_THREADS;
     orl_dataset d;
     orl_err e = orl_dataset_open(argv[optind], warn_line, NULL, &d);
     if (!e) {
         e = fit(&o, &d);
         orl_dataset_free(&d);
     }
+    if (e && ranks_mine()) sleep(2);            /* what fails on every rank is told by rank 0, which ends the others meanwhile */
     if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
+    if (e) ranks_fail();
+    ranks_end();
     return e ? 1 : 0;
 }

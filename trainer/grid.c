@@ -5,6 +5,7 @@
 #include <string.h>
 #include <sys/mman.h>
 #include "oriel/parallel.h"
+#include "trainer/ranks.h"
 
 static void *map_zero(size_t bytes)
 {
@@ -52,21 +53,121 @@ orl_err grid_init(grid *g, const int dims[3], int cell, int c, int threads)
     return orl_fail(ORL_E_MEMORY, "no memory for a grid of %zu vertices", g->nverts);
 }
 
+static size_t grid_bytes(const grid *g) { return g->nverts * (size_t)g->c * sizeof(float); }
+
+void grid_trim(grid *g)
+{
+    for (int t = 0; t < g->threads; t++) madvise(g->g[t], grid_bytes(g), MADV_DONTNEED);
+}
+
+void grid_freeze(grid *g)
+{
+    if (g->m) munmap(g->m, grid_bytes(g));
+    if (g->v) munmap(g->v, grid_bytes(g));
+    g->m = g->v = NULL;
+    for (int t = 0; t < GRID_THREADS; t++) {
+        if (g->g[t]) munmap(g->g[t], grid_bytes(g));
+        if (g->dirty[t]) munmap(g->dirty[t], g->ntiles + 8);
+        g->g[t] = NULL;
+        g->dirty[t] = NULL;
+    }
+    g->threads = 0;
+}
+
 void grid_free(grid *g)
 {
-    size_t bytes = g->nverts * (size_t)g->c * sizeof(float);
-    if (g->p) munmap(g->p, bytes);
-    if (g->m) munmap(g->m, bytes);
-    if (g->v) munmap(g->v, bytes);
+    grid_freeze(g);
+    if (g->p) munmap(g->p, grid_bytes(g));
     if (g->live) munmap(g->live, g->ntiles);
-    for (int t = 0; t < GRID_THREADS; t++) {
-        if (g->g[t]) munmap(g->g[t], bytes);
-        if (g->dirty[t]) munmap(g->dirty[t], g->ntiles + 8);
-    }
     free(g->ax);
     free(g->ay);
     free(g->az);
     memset(g, 0, sizeof *g);
+}
+
+/* Tiles that a batch touched, ascending, with the sum of their gradients so far: goes from rank to rank. */
+typedef struct { uint32_t n, cap; uint32_t *tile; float *sum; } tile_sums;
+
+static void tile_sums_need(tile_sums *s, size_t n, size_t span)
+{
+    if (n <= s->cap) return;
+    free(s->tile);
+    free(s->sum);
+    s->cap = (uint32_t)(n + n / 4);
+    s->tile = malloc((size_t)s->cap * sizeof *s->tile);
+    s->sum = malloc((size_t)s->cap * span * sizeof *s->sum);
+    if (s->tile && s->sum) return;
+    fprintf(stderr, "oriel-train: rank %d: no memory for gradients of %zu tiles\n", ranks_mine(), n);
+    ranks_fail();
+}
+
+typedef struct { grid *g; const tile_sums *in, *out; const uint32_t *from; } fold_job;     /* from: in's entry of each of out's, or UINT32_MAX */
+
+/* Adds this rank's threads to what the ranks before it found. */
+static void fold_tiles(void *user, int begin, int end)
+{
+    const fold_job *job = user;
+    grid *g = job->g;
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    for (int i = begin; i < end; i++) {
+        size_t t = job->out->tile[i];
+        float *sum = job->out->sum + (size_t)i * span;
+        int any = job->from[i] != UINT32_MAX;
+        if (any) memcpy(sum, job->in->sum + (size_t)job->from[i] * span, span * sizeof *sum);
+        for (int k = 0; k < g->threads; k++) {
+            float *gk = g->g[k] + t * span;
+            if (!g->dirty[k][t]) continue;
+            g->dirty[k][t] = 0;
+            if (any) for (size_t q = 0; q < span; q++) sum[q] += gk[q];
+            else memcpy(sum, gk, span * sizeof *sum);
+            any = 1;
+            memset(gk, 0, span * sizeof *gk);
+        }
+    }
+}
+
+/* A chain: each rank adds its threads' gradients to what it receives; the last one has them all and tells the others. Afterwards thread 0 holds the sum on every rank. */
+static void sum_over_ranks(grid *g, int threads)
+{
+    static tile_sums in, out;
+    static size_t span_was;
+    size_t span = (size_t)GRID_TILE * (size_t)g->c, n = 0;
+    int mine = ranks_mine(), last = ranks_count() - 1;
+    if (span > span_was) { in.cap = out.cap = 0; span_was = span; }
+    in.n = 0;
+    if (mine > 0) {
+        ranks_receive(mine - 1, &in.n, sizeof in.n);
+        tile_sums_need(&in, in.n, span_was);
+        ranks_receive(mine - 1, in.tile, in.n * sizeof *in.tile);
+        ranks_receive(mine - 1, in.sum, in.n * span * sizeof *in.sum);
+    }
+    for (size_t t = 0; t < g->ntiles; t++) for (int k = 0; k < g->threads; k++) if (g->dirty[k][t]) { n++; break; }
+    tile_sums_need(&out, n + in.n, span_was);
+    uint32_t *from = malloc((n + in.n + 1) * sizeof *from), at = 0;
+    out.n = 0;
+    for (size_t t = 0; from && t < g->ntiles; t++) {
+        int here = at < in.n && in.tile[at] == t, any = here;
+        for (int k = 0; k < g->threads; k++) any |= g->dirty[k][t];
+        if (!any) continue;
+        from[out.n] = here ? at++ : UINT32_MAX;
+        out.tile[out.n++] = (uint32_t)t;
+    }
+    if (!from) ranks_fail();
+    orl_parallel(threads, (int)out.n, 64, fold_tiles, &(fold_job){ g, &in, &out, from });
+    free(from);
+    if (mine < last) {
+        ranks_send(mine + 1, &out.n, sizeof out.n);
+        ranks_send(mine + 1, out.tile, out.n * sizeof *out.tile);
+        ranks_send(mine + 1, out.sum, out.n * span * sizeof *out.sum);
+    }
+    ranks_share(last, &out.n, sizeof out.n);
+    tile_sums_need(&out, out.n, span_was);
+    ranks_share(last, out.tile, out.n * sizeof *out.tile);
+    ranks_share(last, out.sum, out.n * span * sizeof *out.sum);
+    for (uint32_t i = 0; i < out.n; i++) {
+        memcpy(g->g[0] + (size_t)out.tile[i] * span, out.sum + (size_t)i * span, span * sizeof *out.sum);
+        g->dirty[0][out.tile[i]] = 1;
+    }
 }
 
 typedef struct { grid *g; float lr; } adam_job;
@@ -77,6 +178,11 @@ static void adam_tiles(void *user, int begin, int end)
     grid *g = job->g;
     size_t span = (size_t)GRID_TILE * (size_t)g->c;
     for (int t = begin; t < end; t++) {
+        if (t % 8 == 0) {                       /* most tiles are far from where the rays went: eight at a time */
+            uint64_t eight, some = 0;
+            for (int k = 0; k < g->threads; k++) { memcpy(&eight, g->dirty[k] + t, sizeof eight); some |= eight; }
+            if (!some) { t += 7; continue; }
+        }
         int any = 0;
         for (int k = 0; k < g->threads; k++) any |= g->dirty[k][t];
         if (!any) continue;
@@ -105,6 +211,7 @@ static void adam_tiles(void *user, int begin, int end)
 void grid_adam(grid *g, float lr, int threads)
 {
     adam_job job = { g, lr };
+    if (ranks_count() > 1) sum_over_ranks(g, threads);
     orl_parallel(threads, (int)g->ntiles, 512, adam_tiles, &job);
 }
 

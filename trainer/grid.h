@@ -33,8 +33,12 @@ typedef struct { uint32_t i[8]; float fx, fy, fz; } grid_cell;
 /* dims in fine cells (each a multiple of cell). threads = 0: not trained. */
 orl_err grid_init(grid *g, const int dims[3], int cell, int c, int threads);
 void grid_free(grid *g);
-/* Adam with beta1 0.9, beta2 0.99 on touched vertices (no bias correction needed: the first step is lr by construction). Clears gradients. */
+/* Sums gradients over all threads of all ranks, in that order. Adam with beta1 0.9, beta2 0.99 on touched vertices (no bias correction needed: the first step is lr by construction). Clears gradients. */
 void grid_adam(grid *g, float lr, int threads);
+/* Between steps: gives the memory of gradients, which are zero, back. */
+void grid_trim(grid *g);
+/* Trained no more: values stay. */
+void grid_freeze(grid *g);
 orl_err grid_save(const grid *g, FILE *f, int moments);
 orl_err grid_load(grid *g, FILE *f, int moments, const char *path);
 

@@ -7,7 +7,7 @@
 #include "oriel/parallel.h"
 #include "trainer/stereo.h"
 
-enum { DW = 128, DH = 128, LEVELS = 8 };     /* depth maps over each photo */
+enum { DW = 128, DH = 128, LEVELS = 8, MOST_VOTERS = 256 };     /* depth maps over each photo that votes */
 typedef struct { float inv[DH][DW]; uint8_t level[DH][DW]; } depth_map;
 
 static void depth_add(const world_photo *p, const float x[3], float weight, float *sum, float *wt)
@@ -148,7 +148,7 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
 #define SAY_BEHIND 0.004f
 #define SAY_GROUND 0.5f
 
-typedef struct { const world *w; const stereo *st; const depth_map *maps; uint32_t **hits; int cell, n[3]; float *field; } carve_job;
+typedef struct { const world *w; const stereo *st; const int *voter; int voters; const depth_map *maps; uint32_t **hits; int cell, n[3]; float *field; } carve_job;    /* maps and hits: of each voter */
 
 static void say(float weight, float distance, float sum[2])
 {
@@ -156,10 +156,10 @@ static void say(float weight, float distance, float sum[2])
     sum[1] += weight;
 }
 
-/* What photo k says of a voxel: adds distance times weight, positive for free, and weight. measured: guesses from neighbouring pixels do not count. */
+/* What a voter says of a voxel: adds distance times weight, positive for free, and weight. measured: guesses from neighbouring pixels do not count. */
 static void vote(const carve_job *j, int k, const float g[3], int measured, float sum[2])
 {
-    const world_photo *p = &j->w->photos[k];
+    const world_photo *p = &j->w->photos[j->voter[k]];
     double uv[2], depth;
     float away2 = 0;
     for (int a = 0; a < 3; a++) away2 += (g[a] - (float)p->centre[a]) * (g[a] - (float)p->centre[a]);
@@ -199,7 +199,7 @@ static void carve_range(void *user, int begin, int end)
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
                 float over = g[2] - frame_ground_height(&j->w->frame, g), sum[2] = { 0, 0 };
                 if (over < SPAN) say(SAY_GROUND, over, sum);
-                for (int k = 0; k < j->w->nphotos; k++) vote(j, k, g, over < 0, sum);
+                for (int k = 0; k < j->voters; k++) vote(j, k, g, over < 0, sum);
                 j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = sum[1] > 0 ? sum[0] / sum[1] : SPAN;
             }
 }
@@ -273,17 +273,21 @@ orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sd
     w->frame = ground_find(w, st);
     for (int a = 0; a < 3; a++) j.n[a] = w->frame.dims[a] / cell + 1;
     size_t total = (size_t)j.n[0] * (size_t)j.n[1] * (size_t)j.n[2];
-    depth_map *maps = malloc((size_t)w->nphotos * sizeof *maps);
+    uint8_t *use = world_cover(w, MOST_VOTERS, SIZE_MAX);
+    int *voter = malloc((size_t)w->nphotos * sizeof *voter);
+    for (int k = 0; use && voter && k < w->nphotos; k++) if (use[k]) voter[j.voters++] = k;
+    depth_map *maps = malloc(((size_t)j.voters + 1) * sizeof *maps);
     float *in = malloc(total * sizeof *in), *out = malloc(total * sizeof *out);
     j.field = malloc(total * sizeof *j.field);
     j.hits = calloc((size_t)w->nphotos, sizeof *j.hits);
     orl_err e = ORL_OK;
-    if (!maps || !in || !out || !j.field || !j.hits) { e = orl_fail(ORL_E_MEMORY, "hull: no memory for %zu voxels", total); goto done; }
-    for (int k = 0; k < w->nphotos; k++) {
-        depth_interpolate(w, st, k, &maps[k]);
-        if (st && st->npoints) j.hits[k] = hits_make(w, st, k);
+    if (!use || !voter || !maps || !in || !out || !j.field || !j.hits) { e = orl_fail(ORL_E_MEMORY, "hull: no memory for %zu voxels", total); goto done; }
+    for (int k = 0; k < j.voters; k++) {
+        depth_interpolate(w, st, voter[k], &maps[k]);
+        if (st && st->begin[voter[k] + 1] > st->begin[voter[k]]) j.hits[k] = hits_make(w, st, voter[k]);
     }
     j.maps = maps;
+    j.voter = voter;
     orl_parallel(threads, j.n[2], 1, carve_range, &j);
     for (size_t i = 0; i < total; i++) {
         out[i] = j.field[i] < 0 ? 0.0f : 1e12f;
@@ -299,6 +303,8 @@ orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sd
     *sdf = out;
     out = NULL;
 done:
+    free(use);
+    free(voter);
     free(maps);
     free(in);
     free(out);
@@ -332,13 +338,14 @@ static void relabel_range(void *user, int begin, int end)
     relabel_job *j = user;
     for (int k = begin; k < end; k++) {
         world_photo *p = &j->w->photos[k];
+        int side = (p->w > p->h ? p->w : p->h) < 1024 ? 2 : 4;
         float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
-        for (int y = 0; y < p->h; y += 2)
-            for (int x = 0; x < p->w; x += 2) {
-                world_ray(p, x + 1, y + 1, d);
+        for (int y = 0; y < p->h; y += side)
+            for (int x = 0; x < p->w; x += side) {
+                world_ray(p, x + side / 2, y + side / 2, d);
                 if (hull_hit(j, o, d)) continue;
-                for (int b = 0; b < 4; b++) {
-                    int xx = x + (b & 1), yy = y + (b >> 1);
+                for (int b = 0; b < side * side; b++) {
+                    int xx = x + b % side, yy = y + b / side;
                     if (xx < p->w && yy < p->h && world_label(p, xx, yy) == WORLD_SCENE) world_set_label(p, xx, yy, WORLD_UNKNOWN);
                 }
             }

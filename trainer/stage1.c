@@ -4,7 +4,7 @@
  *   alpha_k = max(1 - S(f_k) / S(f_{k-1}), 0),  T_k = prod_{j<k} (1 - alpha_j),  w_k = T_k alpha_k,  W = sum w_k,
  * free space before the first sample counting as S = 1. Colour is linear in the features, so they are composited first and turned into colour once per ray:
  *   C = gain * (H_base + sum_j l_j H_j) + bias * W + background * (1 - W).
- * Transients live in the photo, not in space (one alpha, colour and beta every 8 pixels, in front of everything): cheaper than NeRF-W's transient volume and as able to explain passers-by.
+ * Transients live in the photo, not in space (one alpha, colour and beta every few pixels, in front of everything): cheaper than NeRF-W's transient volume and as able to explain passers-by.
  * f is linear in the grids' values and so is its gradient: the Eikonal and smoothness losses need no second derivatives. */
 #include "trainer/stage1.h"
 #include <math.h>
@@ -12,6 +12,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 #include "trainer/fuse.h"
+#include "trainer/ranks.h"
 
 enum { MAX_SAMPLES = 64, MAX_MARCH = 128 };
 static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] = { 2, 8 };
@@ -121,7 +122,8 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
         th = w->photos[k].h > th ? w->photos[k].h : th;
     }
     if (!e) e = grid_init(&s->codes, (int[3]){ w->nphotos, 1, 1 }, 1, FEAT, opt->threads);
-    if (!e) e = grid_init(&s->transient, (int[3]){ tw / TRANSIENT_PX + 1, th / TRANSIENT_PX + 1, w->nphotos }, 1, 8, opt->threads);
+    s->transient_px = fmaxf(TRANSIENT_PX, (float)(tw > th ? tw : th) / TRANSIENT_CELLS);
+    if (!e) e = grid_init(&s->transient, (int[3]){ (int)((float)tw / s->transient_px) + 1, (int)((float)th / s->transient_px) + 1, w->nphotos }, 1, 8, opt->threads);
     if (e) stage1_free(s);
     return e;
 }
@@ -161,6 +163,16 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
         grid_mark(&s->codes, i);
     }
     return ORL_OK;
+}
+
+void stage1_freeze(stage1 *s)
+{
+    for (int l = 0; l < SDF_LEVELS; l++) grid_freeze(&s->sdf[l]);
+    for (int l = 0; l < FEAT_LEVELS; l++) grid_freeze(&s->feat[l]);
+    grid_freeze(&s->codes);
+    grid_freeze(&s->transient);
+    grid_free(&s->hull);
+    s->st = NULL;
 }
 
 void stage1_free(stage1 *s)
@@ -362,7 +374,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         v8 tv[1] = { { 0 } };
         float at = 0, beta = BETA_MIN, sp = 0;
         if (c->transient) {
-            float tx[3] = { (px + 0.5f) / TRANSIENT_PX, (py + 0.5f) / TRANSIENT_PX, (float)photo };
+            float tx[3] = { (px + 0.5f) / s->transient_px, (py + 0.5f) / s->transient_px, (float)photo };
             grid_find(&s->transient, tx, &tc);
             grid_vector(&s->transient, &tc, 1, tv);
             at = 1 / (1 + expf(3.0f - tv[0][0]));
@@ -518,9 +530,9 @@ static void step_range(void *user, int begin, int end)
     step_job *job = user;
     stage1 *s = job->s;
     for (int t = begin; t < end; t++) {
-        rng r = rng_make(s->opt.seed, (uint64_t)s->step, (uint64_t)t);
-        int T = s->opt.threads;
-        int rays = (int)((int64_t)s->opt.rays * (t + 1) / T - (int64_t)s->opt.rays * t / T);
+        int all = s->opt.threads * ranks_count(), me = s->opt.threads * ranks_mine() + t;      /* threads of all ranks */
+        rng r = rng_make(s->opt.seed, (uint64_t)s->step, (uint64_t)me);
+        int rays = (int)((int64_t)s->opt.rays * (me + 1) / all - (int64_t)s->opt.rays * me / all);
         for (int i = 0; i < rays; i++) {
             train_ray(job, t, &r);
             if ((i & 3) == 0) train_point(job, t, &r);
@@ -532,7 +544,8 @@ static void step_range(void *user, int begin, int end)
 void stage1_gradients(stage1 *s, stage1_losses *out)
 {
     step_job job = { .s = s, .c = schedule_at(s) };
-    int T = s->opt.threads;
+    int T = s->opt.threads, all = T * ranks_count();
+    static stage1_losses loss[RANKS_MOST * GRID_THREADS];
     static ray_sample *scratch[GRID_THREADS];
     for (int t = 0; t < T; t++) {
         if (!scratch[t]) scratch[t] = aligned_alloc(64, (MAX_SAMPLES * sizeof(ray_sample) + 63) & ~(size_t)63);
@@ -540,8 +553,11 @@ void stage1_gradients(stage1 *s, stage1_losses *out)
     }
     orl_parallel(T, T, 1, step_range, &job);
     memset(out, 0, sizeof *out);
-    for (int t = 0; t < T; t++) {
-        const double *a = (const double *)&job.loss[t];
+    memset(loss, 0, (size_t)all * sizeof *loss);
+    memcpy(loss + T * ranks_mine(), job.loss, (size_t)T * sizeof *loss);
+    ranks_merge(loss, (size_t)all * sizeof *loss);
+    for (int t = 0; t < all; t++) {
+        const double *a = (const double *)&loss[t];
         double *b = (double *)out;
         for (size_t i = 0; i < sizeof *out / sizeof(double); i++) b[i] += a[i];
     }
@@ -560,6 +576,7 @@ void stage1_step(stage1 *s, stage1_losses *out)
     for (int l = 0; l < FEAT_LEVELS; l++) grid_adam(&s->feat[l], 0.012f * (0.2f + 0.8f * c.lr), T);
     grid_adam(&s->codes, 0.004f * c.lr, T);
     grid_adam(&s->transient, 0.03f, T);
+    if (s->step % 4 == 0) grid_trim(&s->transient);     /* steps reach other pixels each time, and in the end all of them */
     s->step++;
 }
 
@@ -592,7 +609,7 @@ float stage1_transient(const stage1 *s, int photo, float u, float v)
 {
     grid_cell c;
     v8 tv[1] = { { 0 } };
-    float x[3] = { u / TRANSIENT_PX, v / TRANSIENT_PX, (float)photo };
+    float x[3] = { u / s->transient_px, v / s->transient_px, (float)photo };
     grid_find(&s->transient, x, &c);
     grid_vector(&s->transient, &c, 1, tv);
     return 1 / (1 + expf(3.0f - tv[0][0]));

@@ -4,7 +4,7 @@
 #include "trainer/grid.h"
 #include "trainer/stereo.h"
 
-enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8 };
+enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96 };
 
 typedef struct {
     int rays;                       /* per step */
@@ -26,7 +26,8 @@ typedef struct {
     grid hull, fused;               /* the first SDF, kept (cells of 2), and what the fused points add to it (cells of 1): the surface stays near their sum unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
     grid codes;                     /* per photo: appearance code 0..3, gain 4..6, bias 7..9, background 10..12 */
-    grid transient;                 /* per photo, every 8 pixels: logit of alpha, RGB, beta before softplus */
+    float transient_px;             /* pixels between two of its vertices: TRANSIENT_PX, more where that makes over TRANSIENT_CELLS along the longest photo */
+    grid transient;                 /* per photo: logit of alpha, RGB, beta before softplus */
 } stage1;
 
 /* Grids of zeros, to be started or loaded. */
@@ -34,6 +35,8 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt);
 /* The hull as the first SDF; sky labels that contradict it become unknown. st: kept, NULL if there is none. */
 orl_err stage1_start(stage1 *s, world *w, const stereo *st);
 void stage1_free(stage1 *s);
+/* Trained no more: keeps what stage1_sdf, stage1_colour and stage1_transient need. */
+void stage1_freeze(stage1 *s);
 /* One optimisation step; repeatable for seed, step and thread count. */
 void stage1_step(stage1 *s, stage1_losses *out);
 /* Its first half: losses of the step's batch, gradients left in the grids (tests compare them with finite differences). */

@@ -6,9 +6,10 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/ranks.h"
 
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 };
-enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200 };
+enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, MOST_PIXELS = 16 << 20 };     /* of all photos */
 
 static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, uint32_t *count)
 {
@@ -98,27 +99,37 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
     if (e || !s1) { if (e) stage2_free(s); return e; }
     sky_generator_start(&s->light);
     size_t n = (size_t)w->nphotos;
+    if (s->opt.pixels > MOST_PIXELS / w->nphotos) s->opt.pixels = MOST_PIXELS / w->nphotos;
+    const size_t most = (size_t)s->opt.pixels;
+    s->order = malloc(n * sizeof *s->order);
     s->codes = calloc(n, sizeof *s->codes);
     s->begin = calloc(n + 1, sizeof *s->begin);
-    s->px = malloc((n * (size_t)opt->pixels + 1) * sizeof *s->px);
+    s->px = malloc((n * most + 1) * sizeof *s->px);
     s->adam = calloc(2 * SHARED, sizeof *s->adam);
     uint32_t *count = calloc(n, sizeof *count);
-    if (!s->codes || !s->begin || !s->px || !s->adam || !count) { free(count); stage2_free(s); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu photos", n); }
+    if (!s->order || !s->codes || !s->begin || !s->px || !s->adam || !count) { free(count); stage2_free(s); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu photos", n); }
     for (size_t k = 0; k < n; k++) memcpy(s->codes[k], s->light.prior_mean, sizeof s->codes[k]);
     pixel_job j = { s, s1, count };
     orl_parallel(opt->threads, w->nphotos, 1, pixel_range, &j);
     for (size_t k = 0; k < n; k++) {
-        memmove(s->px + s->begin[k], s->px + k * (size_t)opt->pixels, count[k] * sizeof *s->px);
+        memmove(s->px + s->begin[k], s->px + k * most, count[k] * sizeof *s->px);
         s->begin[k + 1] = s->begin[k] + count[k];
     }
     free(count);
+    stage2_pixel *fit = realloc(s->px, ((size_t)s->begin[n] + 1) * sizeof *fit);
+    if (fit) s->px = fit;
+    rng r = rng_make(opt->seed, 0x54ad, 0), turn = rng_make(opt->seed, 0x04de, 0);
+    for (int k = 0; k < w->nphotos; k++) {
+        int at = w->nphotos > STAGE2_VISITS ? (int)rng_below(&turn, (uint32_t)k + 1) : k;
+        s->order[k] = s->order[at];
+        s->order[at] = k;
+    }
     /* Coarsest base colour 0.4 everywhere, also where no photo reaches; shadow features start as long waves. */
     grid *g = &s->albedo[ALBEDO_LEVELS - 1];
     for (size_t i = 0; i < g->nverts; i++) {
         for (int c = 0; c < 3; c++) g->p[4 * i + (size_t)c] = 0.4f;
         grid_mark(g, i);
     }
-    rng r = rng_make(opt->seed, 0x54ad, 0);
     float wave[ORL_SHADOW_DIM][4], longest = (float)surf->f.dims[0];
     for (int q = 0; q < ORL_SHADOW_DIM; q++) for (int a = 0; a < 4; a++) wave[q][a] = rng_normal(&r) * (a < 3 ? 12.0f / longest : 3.0f);
     for (size_t b = 0; b < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; b++) {
@@ -139,6 +150,7 @@ void stage2_free(stage2 *s)
 {
     for (int l = 0; l < ALBEDO_LEVELS; l++) grid_free(&s->albedo[l]);
     grid_free(&s->shadow);
+    free(s->order);
     free(s->codes);
     free(s->begin);
     free(s->px);
@@ -214,7 +226,21 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
     o->cov = 1;
 }
 
-typedef struct { stage2 *s; int cold, err; double rms[GRID_THREADS]; int degenerate[GRID_THREADS]; } code_job;
+/* Visits of a round, and visit i of round `round`: its photo, and the round of its visit before; -1: none. */
+static int visits(const stage2 *s) { return s->w->nphotos < STAGE2_VISITS ? s->w->nphotos : STAGE2_VISITS; }
+static int visit(const stage2 *s, int i, int *before)
+{
+    int64_t turn = (int64_t)s->round * visits(s) + i;
+    if (before) *before = turn < s->w->nphotos ? -1 : (int)((turn - s->w->nphotos) / visits(s));
+    return s->order[turn % s->w->nphotos];
+}
+
+/* The share of thread t of this rank: visits that share.first + k * share.all is. */
+typedef struct { int first, all; } share;
+static share share_of(const stage2 *s, int t) { return (share){ ranks_mine() * s->opt.threads + t, ranks_count() * s->opt.threads }; }
+
+typedef struct { float code[ORL_CODE]; double rms; int degenerate; } visit_result;
+typedef struct { stage2 *s; visit_result *out; } code_job;
 
 static void code_photos(void *user, int begin, int end)
 {
@@ -224,8 +250,13 @@ static void code_photos(void *user, int begin, int end)
         size_t bytes = (orl_adapt_need() + 63) & ~(size_t)63;
         void *work = aligned_alloc(64, bytes);
         orl_sample *smp = malloc(ADAPT_SAMPLES * sizeof *smp);
-        if (!work || !smp) { free(work); free(smp); continue; }
-        for (int k = t; k < s->w->nphotos; k += s->opt.threads) {
+        share of = share_of(s, t);
+        for (int v = of.first; v < visits(s); v += of.all) {
+            int before, k = visit(s, v, &before), R = s->opt.rounds;
+            int cold = before < 0 || (before < R / 10 && s->round >= R / 10) || (before < R / 4 && s->round >= R / 4) || (before < R / 2 && s->round >= R / 2);
+            visit_result *o = &j->out[v];
+            memcpy(o->code, s->codes[k], sizeof o->code);
+            if (!work || !smp) continue;
             uint32_t n = s->begin[k + 1] - s->begin[k], use = n < ADAPT_SAMPLES ? n : ADAPT_SAMPLES;
             rng r = rng_make(s->opt.seed, 0xada0 + (uint64_t)s->round, (uint64_t)k);
             for (uint32_t i = 0; i < use; i++) {
@@ -233,29 +264,33 @@ static void code_photos(void *user, int begin, int end)
                 make_sample(s, &s->px[s->begin[k] + rng_below(&r, n)], &smp[i], &c);
             }
             orl_adapt_options opt = orl_adapt_defaults();
-            if (!j->cold) opt.max_iterations = 3;
+            if (!cold) opt.max_iterations = 3;
             orl_adapt_result res;
             memset(&res, 0, sizeof res);
-            if (orl_adapt(&s->light, smp, use, j->cold ? NULL : s->codes[k], &opt, work, bytes, &res)) continue;
-            if (res.status == ORL_ADAPT_DEGENERATE) j->degenerate[t]++;
-            memcpy(s->codes[k], res.code, sizeof res.code);
-            j->rms[t] += res.rms;
+            if (orl_adapt(&s->light, smp, use, cold ? NULL : s->codes[k], &opt, work, bytes, &res)) continue;
+            o->degenerate = res.status == ORL_ADAPT_DEGENERATE;
+            memcpy(o->code, res.code, sizeof res.code);
+            o->rms = res.rms;
         }
         free(work);
         free(smp);
     }
 }
 
-typedef struct { stage2 *s; int step; float *shared[GRID_THREADS]; double mse[GRID_THREADS], weight[GRID_THREADS]; orl_light *lights; } grad_job;
+typedef struct { float shared[SHARED]; double mse, weight; } grad_sum;
+typedef struct { stage2 *s; int step; grad_sum *sum; orl_light *lights; } grad_job;     /* sum: of each thread of each rank; lights: of each visit */
 
 static void grad_photos(void *user, int begin, int end)
 {
     grad_job *j = user;
     stage2 *s = j->s;
-    for (int t = begin; t < end; t++)
-        for (int k = t; k < s->w->nphotos; k += s->opt.threads) {
+    for (int t = begin; t < end; t++) {
+        share of = share_of(s, t);
+        grad_sum *sum = &j->sum[of.first];
+        for (int v = of.first; v < visits(s); v += of.all) {
+            int k = visit(s, v, NULL);
             uint32_t n = s->begin[k + 1] - s->begin[k];
-            const orl_light *light = &j->lights[k];
+            const orl_light *light = &j->lights[v];
             float d_ground[3] = { 0 }, d_sky[3][ORL_SKY_Y] = { { 0 } };
             for (uint32_t i = (uint32_t)j->step; i < n; i += (uint32_t)s->opt.steps) {
                 orl_sample o;
@@ -271,8 +306,8 @@ static void grad_photos(void *user, int begin, int end)
                     err2 += e * e;
                 }
                 float rob = 0.15f * 0.15f / (err2 + 0.15f * 0.15f), scale = 2 * o.weight * rob * rob;
-                j->mse[t] += o.weight * err2 / 3;
-                j->weight[t] += o.weight;
+                sum->mse += o.weight * err2 / 3;
+                sum->weight += o.weight;
                 for (int a = 0; a < 3; a++) d[a] *= scale;
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
                 if (!q->surface) continue;
@@ -285,38 +320,45 @@ static void grad_photos(void *user, int begin, int end)
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + 1e-4f * o.phi[a];
                 grid_vector_back(&s->shadow, t, &c.s, 1, dp);
             }
-            float *g = j->shared[t], q[ORL_SKY_Q] = { 1, light->code[ORL_C_SUN_EL] };
+            float *g = sum->shared, q[ORL_SKY_Q] = { 1, light->code[ORL_C_SUN_EL] };
             memcpy(q + 2, light->code + ORL_C_ENV, (ORL_ENV_DIM + ORL_SKY_DIM) * sizeof(float));
             for (int b = 0; b < ORL_SKY_Q; b++) for (int a = 0; a < 3; a++) for (int y = 0; y < ORL_SKY_Y; y++) *g++ += q[b] * d_sky[a][y];
             for (int a = 0; a < 3; a++) *g++ += d_ground[a];
         }
+    }
 }
 
 void stage2_round(stage2 *s, stage2_losses *out)
 {
-    int T = s->opt.threads, R = s->opt.rounds;
-    code_job cj = { .s = s, .cold = s->round == 0 || s->round == R / 10 || s->round == R / 4 || s->round == R / 2 };
-    orl_parallel(T, T, 1, code_photos, &cj);
-    static orl_light *lights;
-    static int lights_n;
-    if (lights_n < s->w->nphotos) { free(lights); lights = malloc((size_t)s->w->nphotos * sizeof *lights); lights_n = s->w->nphotos; }
-    float shared[GRID_THREADS][SHARED];
+    int T = s->opt.threads, R = s->opt.rounds, N = T * ranks_count();
+    static orl_light lights[STAGE2_VISITS];
+    static visit_result found[STAGE2_VISITS];
+    static grad_sum sums[RANKS_MOST * GRID_THREADS];
     double mse = 0, weight = 0;
+    memset(out, 0, sizeof *out);
+    memset(found, 0, sizeof found);
+    orl_parallel(T, T, 1, code_photos, &(code_job){ s, found });
+    ranks_merge(found, sizeof found);
+    for (int i = 0; i < visits(s); i++) {
+        int k = visit(s, i, NULL);
+        memcpy(s->codes[k], found[i].code, sizeof found[i].code);
+        orl_light_decode(&s->light, s->codes[k], &lights[i]);
+        out->adapt_rms += found[i].rms / visits(s);
+        out->degenerate += found[i].degenerate;
+    }
     float decay = expf(logf(0.1f) * (float)s->round / (float)(R > 0 ? R : 1));
     for (int step = 0; step < s->opt.steps; step++) {
-        grad_job gj = { .s = s, .step = step, .lights = lights };
-        for (int k = 0; k < s->w->nphotos; k++) if (step == 0) orl_light_decode(&s->light, s->codes[k], &lights[k]);
-        memset(shared, 0, sizeof shared);
-        for (int t = 0; t < T; t++) gj.shared[t] = shared[t];
-        orl_parallel(T, T, 1, grad_photos, &gj);
-        for (int t = 0; t < T; t++) { mse += gj.mse[t]; weight += gj.weight[t]; }
+        memset(sums, 0, (size_t)N * sizeof *sums);
+        orl_parallel(T, T, 1, grad_photos, &(grad_job){ s, step, sums, lights });
+        ranks_merge(sums, (size_t)N * sizeof *sums);
+        for (int t = 0; t < N; t++) { mse += sums[t].mse; weight += sums[t].weight; }
         static const float LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f };
         for (int l = 0; l < ALBEDO_LEVELS; l++) grid_adam(&s->albedo[l], LR[l] * decay, T);
         grid_adam(&s->shadow, 0.02f * decay, T);
         float *sky = &s->light.sky_gen[0][0][0], *m = s->adam, *v = s->adam + SHARED;
         for (int i = 0; i < SHARED; i++) {
             float g = 0;
-            for (int t = 0; t < T; t++) g += shared[t][i];
+            for (int t = 0; t < N; t++) g += sums[t].shared[i];
             /* One photo sees little azimuth: terms that vary with it would be extrapolated wildly, so the generator keeps to elevation. */
             int y = i % ORL_SKY_Y;
             if (i < SHARED - 3 && y != 0 && y != 3 && y != 8) { sky[i] = 0; continue; }
@@ -330,9 +372,6 @@ void stage2_round(stage2 *s, stage2_losses *out)
             }
         }
     }
-    memset(out, 0, sizeof *out);
-    for (int t = 0; t < T; t++) { out->adapt_rms += cj.rms[t]; out->degenerate += cj.degenerate[t]; }
-    out->adapt_rms /= s->w->nphotos;
     out->mse = mse / (weight > 0 ? weight : 1);
     s->round++;
 }
@@ -369,16 +408,17 @@ static int invert(double a[ORL_CODE][ORL_CODE])
 
 void stage2_prior(stage2 *s)
 {
-    int n = s->w->nphotos;
+    int n = (int)fmin(s->w->nphotos, (double)s->round * visits(s));      /* photos visited */
+    if (n < 1) return;
     static double cov[ORL_CODE][ORL_CODE], old[ORL_CODE][ORL_CODE];
     double mean[ORL_CODE] = { 0 };
     for (int i = 0; i < ORL_CODE; i++) for (int j = 0; j < ORL_CODE; j++) old[i][j] = s->light.prior_prec[i][j] + (i == j ? 1e-4 : 0);
     if (!invert(old)) return;
-    for (int k = 0; k < n; k++) for (int i = 0; i < ORL_CODE; i++) mean[i] += s->codes[k][i] / n;
+    for (int k = 0; k < n; k++) for (int i = 0; i < ORL_CODE; i++) mean[i] += s->codes[s->order[k]][i] / n;
     memset(cov, 0, sizeof cov);
     for (int k = 0; k < n; k++)
         for (int i = 0; i < ORL_CODE; i++)
-            for (int j = 0; j < ORL_CODE; j++) cov[i][j] += (s->codes[k][i] - mean[i]) * (s->codes[k][j] - mean[j]) / n;
+            for (int j = 0; j < ORL_CODE; j++) cov[i][j] += (s->codes[s->order[k]][i] - mean[i]) * (s->codes[s->order[k]][j] - mean[j]) / n;
     /* Weight of the decoder's prior as if it were 12 photos; correlations are trusted half. */
     double a = n / (n + 12.0);
     for (int i = 0; i < ORL_CODE; i++)

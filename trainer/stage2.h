@@ -4,7 +4,7 @@
 #include "oriel/adapt.h"
 #include "trainer/surface.h"
 
-enum { ALBEDO_LEVELS = 3 };
+enum { ALBEDO_LEVELS = 3, STAGE2_VISITS = 64 };
 
 /* A pixel of a training photo, reduced to what light needs. */
 typedef struct {
@@ -14,7 +14,7 @@ typedef struct {
     uint8_t weight, surface;        /* weight / 255; 0 sky, 1 surface, 2 ground beyond it */
 } stage2_pixel;
 
-typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo; steps per round */
+typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo (fewer where many photos would make too many in all); steps per round */
 typedef struct { double mse, shadow, adapt_rms; int degenerate; } stage2_losses;
 
 typedef struct {
@@ -26,7 +26,8 @@ typedef struct {
     grid albedo[ALBEDO_LEVELS];     /* cells of 1, 4, 16; RGB linear, summed */
     grid shadow;                    /* cell 4: 8 features */
     float (*codes)[ORL_CODE];       /* per training photo */
-    uint32_t *begin;                /* pixels of photo k: [begin[k], begin[k + 1]) */
+    int *order;                     /* in which rounds visit the photos */
+    uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;
     float *adam;                    /* moments of sky generator and ground */
 } stage2;
@@ -34,7 +35,7 @@ typedef struct {
 /* s1 may be NULL (evaluation: only grids are set up, no pixels). */
 orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1 *s1, const orl_light_model *light, const stage2_options *opt);
 void stage2_free(stage2 *s);
-/* One round: adapt every photo's codes (Gauss-Newton, as at run time), then gradient steps on what the photos share. */
+/* One round: adapt photos' codes (Gauss-Newton, as at run time), then gradient steps on what they share. A round visits every photo of a small collection, and STAGE2_VISITS of a large one in turn. */
 void stage2_round(stage2 *s, stage2_losses *out);
 /* Gaussian prior from the training codes, shrunk towards the decoder's. */
 void stage2_prior(stage2 *s);

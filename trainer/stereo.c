@@ -9,9 +9,12 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/ranks.h"
 #include "trainer/grid.h"
 
 enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 4, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, WINDOW = 61, PADDED = 64 };
+#define MOST_PIXELS ((size_t)32 << 20)  /* of all pictures at level 0, 46 bytes each: beyond, large photos are halved and a choice of them takes part */
+#define HALVE_PIXELS ((size_t)400000)
 #define COST_MAX 2.0f           /* 1 - correlation */
 #define COST_KEEP 0.6f
 #define GEOMETRY 0.15f          /* cost of a pixel of disagreement, 3 pixels at most */
@@ -71,39 +74,49 @@ static int picture_alloc(picture *p, int w, int h)
     return p->grey && p->corners;
 }
 
-static orl_err shot_load(const world_photo *p, shot *s)
+/* Level 0 has the photo's size halved `halve` times. */
+static orl_err shot_load(const world_photo *p, int halve, shot *s)
 {
     picture *q = &s->level[0];
-    int ok = picture_alloc(q, p->w, p->h);
-    s->sky = malloc((size_t)p->w * (size_t)p->h);
-    s->map = calloc((size_t)p->w * (size_t)p->h, sizeof *s->map);
-    s->frozen = calloc((size_t)p->w * (size_t)p->h, sizeof *s->frozen);
-    s->cost = malloc((size_t)p->w * (size_t)p->h * sizeof *s->cost);
-    if (!ok || !s->sky || !s->map || !s->frozen || !s->cost) return orl_fail(ORL_E_MEMORY, "stereo: no memory");
+    int w = p->w >> halve, h = p->h >> halve, side = 1 << halve;
+    size_t n = (size_t)w * (size_t)h, full = (size_t)p->w * (size_t)p->h;
+    int ok = picture_alloc(q, w, h);
+    s->sky = malloc(n);
+    s->map = calloc(n, sizeof *s->map);
+    s->frozen = calloc(n, sizeof *s->frozen);
+    s->cost = malloc(n * sizeof *s->cost);
+    float *grey = malloc(full * sizeof *grey), *sum = calloc((size_t)w, sizeof *sum);
+    orl_err e = ok && s->sky && s->map && s->frozen && s->cost && grey && sum ? ORL_OK : orl_fail(ORL_E_MEMORY, "stereo: no memory");
+    if (e) goto done;
+    for (int y = 0; y < p->h; y++)
+        for (int x = 0; x < p->w; x++) {
+            uint8_t rgb[3];
+            world_rgb(p, x, y, rgb);
+            grey[(size_t)y * (size_t)p->w + (size_t)x] = 0.299f * rgb[0] + 0.587f * rgb[1] + 0.114f * rgb[2];
+        }
     orl_camera pin = p->cam;
     pin.model = ORL_CAM_PINHOLE;
     pin.k1 = pin.k2 = pin.p1 = pin.p2 = 0;
-    q->fx = (float)pin.fx; q->fy = (float)pin.fy; q->cx = (float)pin.cx; q->cy = (float)pin.cy;
-    for (int y = 0; y < p->h; y++)
-        for (int x = 0; x < p->w; x++) {
+    q->fx = (float)(pin.fx / side); q->fy = (float)(pin.fy / side); q->cx = (float)(pin.cx / side); q->cy = (float)(pin.cy / side);
+    for (int y = 0; y < h * side; y++)
+        for (int x = 0; x < w * side; x++) {
             double d[3], uv[2] = { 0, 0 };
             orl_camera_unproject(&pin, x + 0.5, y + 0.5, d);
             orl_camera_project(&p->cam, d, uv);
             float u = fminf(fmaxf((float)uv[0] - 0.5f, 0), (float)(p->w - 1)), v = fminf(fmaxf((float)uv[1] - 0.5f, 0), (float)(p->h - 1));
             int x0 = (int)u, y0 = (int)v, x1 = x0 + (x0 < p->w - 1), y1 = y0 + (y0 < p->h - 1);
-            float g[4];
-            for (int k = 0; k < 4; k++) {
-                uint8_t rgb[3];
-                world_rgb(p, k & 1 ? x1 : x0, k & 2 ? y1 : y0, rgb);
-                g[k] = 0.299f * rgb[0] + 0.587f * rgb[1] + 0.114f * rgb[2];
-            }
-            float a = g[0] + (u - (float)x0) * (g[1] - g[0]), b = g[2] + (u - (float)x0) * (g[3] - g[2]);
-            q->grey[y * p->w + x] = (uint8_t)(a + (v - (float)y0) * (b - a) + 0.5f);
-            s->sky[y * p->w + x] = world_label(p, x0, y0) == WORLD_SKY;
+            const float *g0 = grey + (size_t)y0 * (size_t)p->w, *g1 = grey + (size_t)y1 * (size_t)p->w;
+            float a = g0[x0] + (u - (float)x0) * (g0[x1] - g0[x0]), b = g1[x0] + (u - (float)x0) * (g1[x1] - g1[x0]);
+            int at = (y >> halve) * w + (x >> halve);
+            sum[x >> halve] += a + (v - (float)y0) * (b - a);
+            if (((x + 1) | (y + 1)) & (side - 1)) continue;     /* last of its square */
+            q->grey[at] = (uint8_t)(sum[x >> halve] / (float)(side * side) + 0.5f);
+            sum[x >> halve] = 0;
+            s->sky[at] = world_label(p, x0, y0) == WORLD_SKY;
         }
     for (int l = 1; l < LEVELS; l++) {
         picture *r = &s->level[l], *f = &s->level[l - 1];
-        if (!picture_alloc(r, f->w / 2, f->h / 2)) return orl_fail(ORL_E_MEMORY, "stereo: no memory");
+        if (!picture_alloc(r, f->w / 2, f->h / 2)) { e = orl_fail(ORL_E_MEMORY, "stereo: no memory"); goto done; }
         r->fx = f->fx * 0.5f; r->fy = f->fy * 0.5f; r->cx = f->cx * 0.5f; r->cy = f->cy * 0.5f;
         for (int y = 0; y < r->h; y++)
             for (int x = 0; x < r->w; x++) {
@@ -116,7 +129,10 @@ static orl_err shot_load(const world_photo *p, shot *s)
         s->c[i] = (float)p->centre[i];
         for (int j = 0; j < 3; j++) s->R[3 * i + j] = (float)p->axes[3 * j + i];
     }
-    return ORL_OK;
+done:
+    free(grey);
+    free(sum);
+    return e;
 }
 
 static void shot_free(shot *s)
@@ -164,7 +180,7 @@ static void choose_companions(const world *w, shot *shots, int k, rank *order, u
     for (int j = 0; j < w->nphotos; j++) {
         const world_photo *q = &w->photos[j];
         order[j] = (rank){ 0, j };
-        if (j == k) continue;
+        if (j == k || !shots[j].map) continue;
         for (uint32_t i = 0; i < q->obs_count; i++) {
             const world_point *x = &w->points[w->obs[q->obs_begin + i].point];
             if (!seen[w->obs[q->obs_begin + i].point]) continue;
@@ -590,8 +606,14 @@ orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **o
         j->shots = calloc(photos, sizeof *j->shots);
         if (!j->shots) e = orl_fail(ORL_E_MEMORY, "stereo: no memory");
     }
-    for (int k = 0; !e && k < w->nphotos; k++) e = shot_load(&w->photos[k], &j->shots[k]);
+    size_t pixels = 0;
+    for (int k = 0; k < w->nphotos; k++) pixels += (size_t)w->photos[k].w * (size_t)w->photos[k].h;
+    int halve = pixels > MOST_PIXELS && pixels / photos > HALVE_PIXELS;
+    uint8_t *use = e ? NULL : world_cover(w, w->nphotos, MOST_PIXELS << 2 * halve);
+    if (!e && !use) e = orl_fail(ORL_E_MEMORY, "stereo: no memory");
+    for (int k = 0; !e && k < w->nphotos; k++) if (use[k]) e = shot_load(&w->photos[k], halve, &j->shots[k]);
     for (int k = 0; !e && k < w->nphotos; k++) {
+        if (!use[k]) continue;
         choose_companions(w, j->shots, k, order, seen, depth);
         const picture *least = &j->shots[k].level[LEVELS - 1];
         if (least->w < 8 || least->h < 8) j->shots[k].ncompanions = 0;
@@ -599,6 +621,7 @@ orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **o
     free(order);
     free(seen);
     free(depth);
+    free(use);
     if (e) stereo_end(j);
     else *out = j;
     return e;
@@ -613,18 +636,22 @@ int stereo_step(stereo_work *j)
     j->geometry = round > 0;
     if (j->geometry && j->k == 0) for (int k = 0; k < n; k++) memcpy(j->shots[k].frozen, j->shots[k].map, map_size(&j->shots[k]) * sizeof(plane));
     j->unit++;
-    if (!s->ncompanions) return 1;
-    if (j->geometry) {
+    int ours = s->ncompanions && j->k % ranks_count() == ranks_mine();
+    if (ours && j->geometry) {
         j->seed += (uint64_t)round;             /* other dice than in the first round */
         j->level = 0;
         spread(j, 1);
         j->seed -= (uint64_t)round;
-        return 1;
+    } else if (ours) {
+        start(j);
+        for (j->level = LEVELS - 1; j->level >= 0; j->level--) {
+            if (j->level < LEVELS - 1) refine_map(s, j->level);
+            spread(j, PASSES[j->level]);
+        }
     }
-    start(j);
-    for (j->level = LEVELS - 1; j->level >= 0; j->level--) {
-        if (j->level < LEVELS - 1) refine_map(s, j->level);
-        spread(j, PASSES[j->level]);
+    for (int k = 0; k < n && j->unit % n == 0; k++) {
+        ranks_share(k % ranks_count(), j->shots[k].map, map_size(&j->shots[k]) * sizeof(plane));
+        ranks_share(k % ranks_count(), j->shots[k].cost, map_size(&j->shots[k]) * sizeof(float));
     }
     return 1;
 }
@@ -661,7 +688,7 @@ void stereo_end(stereo_work *j)
     free(j);
 }
 
-int stereo_can_save(const stereo_work *j) { return j->unit <= j->w->nphotos || j->unit % j->w->nphotos == 0; }
+int stereo_can_save(const stereo_work *j) { return (j->unit <= j->w->nphotos && ranks_count() == 1) || j->unit % j->w->nphotos == 0; }
 
 orl_err stereo_work_save(const stereo_work *j, FILE *f)
 {

@@ -201,7 +201,8 @@ int surface_ground(const surface *s, const float o[3], const float d[3], surface
     return 1;
 }
 
-typedef struct { const surface *s; const world *w; uint8_t *seen; } prune_job;
+enum { PRUNE_STEP = 2, PRUNE_RAYS = 16 << 20 };
+typedef struct { const surface *s; const world *w; uint8_t *seen; int step; } prune_job;    /* step: pixels between two rays */
 
 static void prune_range(void *user, int begin, int end)
 {
@@ -209,8 +210,8 @@ static void prune_range(void *user, int begin, int end)
     for (int k = begin; k < end; k++) {
         const world_photo *p = &j->w->photos[k];
         float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3];
-        for (int y = 0; y < p->h; y += 2)
-            for (int x = 0; x < p->w; x += 2) {
+        for (int y = 0; y < p->h; y += j->step)
+            for (int x = 0; x < p->w; x += j->step) {
                 surface_hit hit;
                 world_ray(p, x + 0.5, y + 0.5, d);
                 if (!surface_march(j->s, o, d, &hit)) continue;
@@ -225,7 +226,9 @@ orl_err surface_prune(surface *s, const world *w, int threads)
 {
     uint8_t *seen = calloc(s->nbricks + 1, 1);
     if (!seen) return orl_fail(ORL_E_MEMORY, "surface: no memory");
-    prune_job j = { s, w, seen };
+    double pixels = 0;
+    for (int k = 0; k < w->nphotos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
+    prune_job j = { s, w, seen, (int)fmax(PRUNE_STEP, ceil(sqrt(pixels / PRUNE_RAYS))) };
     orl_parallel(threads, w->nphotos, 1, prune_range, &j);
     size_t step[3] = { 1, (size_t)s->nb[0], (size_t)s->nb[0] * (size_t)s->nb[1] }, total = brick_count(s);
     uint8_t *keep = calloc(s->nbricks + 1, 1);

@@ -6,6 +6,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 #include "oriel/skymask.h"
+#include "trainer/ranks.h"
 
 void frame_apply(const frame *f, const double w[3], double g[3])
 {
@@ -28,16 +29,25 @@ int world_project(const world_photo *p, const float x[3], double uv[2], double *
     return orl_camera_project(&p->cam, c, uv);
 }
 
-orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky)
+orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky, int packed)
 {
     size_t n = (size_t)w * (size_t)h;
     p->w = w;
     p->h = h;
-    p->rgb = malloc(3 * n);
+    p->packed = packed;
     p->labels = calloc(world_label_bytes(p), 1);
-    if (!p->rgb || !p->labels) return orl_fail(ORL_E_MEMORY, "%s: no memory", p->name);
-    memcpy(p->rgb, rgb, 3 * n);
-    for (int y = 0; sky && y < h; y++) for (int x = 0; x < w; x++, sky++) world_set_label(p, x, y, *sky > ORL_SKY_SURE ? WORLD_SKY : *sky < ORL_SKY_SCENE ? WORLD_SCENE : WORLD_UNKNOWN);
+    if (packed) p->blocks = malloc(blocks_count(w, h) * sizeof *p->blocks);
+    else p->rgb = malloc(3 * n);
+    if (!(packed ? (void *)p->blocks : p->rgb) || !p->labels) return orl_fail(ORL_E_MEMORY, "%s: no memory", p->name);
+    if (packed) blocks_encode(rgb, w, h, p->blocks);
+    else memcpy(p->rgb, rgb, 3 * n);
+    int m = packed;                             /* a pixel that shares its label with the one before it, or above it */
+    for (int y = 0; sky && y < h; y++)
+        for (int x = 0; x < w; x++, sky++) {
+            int label = *sky > ORL_SKY_SURE ? WORLD_SKY : *sky < ORL_SKY_SCENE ? WORLD_SCENE : WORLD_UNKNOWN;
+            if (((x | y) & m) && world_label(p, x, y) != label) label = WORLD_UNKNOWN;
+            world_set_label(p, x, y, label);
+        }
     return ORL_OK;
 }
 
@@ -171,7 +181,7 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
     return ORL_OK;
 }
 
-typedef struct { const orl_dataset *d; world *w; int long_side, use_masks; const uint32_t *index; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
 
 static orl_err load_one(const load_job *job, int k)
 {
@@ -206,7 +216,7 @@ static orl_err load_one(const load_job *job, int k)
         e = orl_skymask(&im, &o->cam, &o->pose, f->R + 6, (const float (*)[2])pts, n, &sky);
     }
     free(pts);
-    if (!e) e = world_photo_fill(o, im.w, im.h, im.px, sky.px);
+    if (!e) e = world_photo_fill(o, im.w, im.h, im.px, sky.px, job->packed);
     orl_image_free(&im);
     orl_image_free(&sky);
     return e;
@@ -231,13 +241,19 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
     w.obs = calloc(d->nobs + 1, sizeof *w.obs);
     if (!index || !why || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
     for (uint32_t i = 0; i < d->nphotos; i++) if (!d->photos[i].test) index[w.nphotos++] = i;
-    load_job job = { d, &w, long_side, use_masks, index, why };
+    size_t plain = 0;
+    for (int k = 0; k < w.nphotos; k++) {
+        const orl_camera *c = &d->photos[index[k]].cam;
+        double shrink = fmin(1, (double)long_side / (c->w > c->h ? c->w : c->h));
+        plain += (size_t)(3 * shrink * shrink * c->w * c->h);
+    }
+    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, why };
     orl_parallel(threads, w.nphotos, 1, load_range, &job);
     int kept = 0;
     for (int k = 0; k < w.nphotos; k++) {
         const orl_photo *p = &d->photos[index[k]];
         if (why[k][0]) {
-            fprintf(stderr, "oriel-train: %s: left out\n", why[k]);
+            if (!ranks_mine()) fprintf(stderr, "oriel-train: %s: left out\n", why[k]);
             continue;
         }
         world_photo *o = &w.photos[k];
@@ -278,10 +294,51 @@ done:
     return e;
 }
 
+uint8_t *world_cover(const world *w, int most, size_t pixels)
+{
+    size_t n = (size_t)w->nphotos, total = 0, taken = 0;
+    uint8_t *use = malloc(n + 1);
+    uint16_t *seen = calloc((size_t)w->npoints + 1, sizeof *seen);
+    float *gain = malloc((n + 1) * sizeof *gain);       /* gains only fall: an old one bounds the new one */
+    int *asked = calloc(n + 1, sizeof *asked);
+    if (!use || !seen || !gain || !asked) { free(use); use = NULL; goto done; }
+    for (size_t k = 0; k < n; k++) total += (size_t)w->photos[k].w * (size_t)w->photos[k].h;
+    memset(use, total <= pixels && w->nphotos <= most, n);
+    for (size_t k = 0; k < n; k++) gain[k] = INFINITY;
+    for (int count = 0; count < most && !(total <= pixels && w->nphotos <= most);) {
+        size_t k = n;
+        for (size_t i = 0; i < n; i++) if (!use[i] && (k == n || gain[i] > gain[k])) k = i;
+        if (k == n) break;
+        const world_photo *p = &w->photos[k];
+        if (asked[k] == count + 1) {
+            if ((taken += (size_t)p->w * (size_t)p->h) > pixels) break;
+            use[k] = 1;
+            count++;
+            for (uint32_t i = 0; i < p->obs_count; i++) {
+                uint16_t *s = &seen[w->obs[p->obs_begin + i].point];
+                *s = (uint16_t)(*s + (*s < UINT16_MAX));
+            }
+            continue;
+        }
+        gain[k] = 0;
+        asked[k] = count + 1;
+        for (uint32_t i = 0; i < p->obs_count; i++) {
+            uint32_t at = w->obs[p->obs_begin + i].point;
+            gain[k] += w->points[at].weight / (seen[at] < 3 ? 1 : (float)(seen[at] - 1));
+        }
+    }
+done:
+    free(seen);
+    free(gain);
+    free(asked);
+    return use;
+}
+
 void world_free(world *w)
 {
     for (int i = 0; w->photos && i < w->nphotos; i++) {
         free(w->photos[i].rgb);
+        free(w->photos[i].blocks);
         free(w->photos[i].labels);
     }
     free(w->photos);

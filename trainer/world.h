@@ -4,6 +4,7 @@
 #include <string.h>
 #include "oriel/dataset.h"
 #include "oriel/scene.h"
+#include "trainer/blocks.h"
 
 /* Similarity world -> grid: z up, one unit = one fine cell, the box is [0, dims]. */
 typedef struct {
@@ -21,7 +22,9 @@ typedef struct {
     double axes[9];                 /* grid direction = axes * camera direction (row-major rotation) */
     float near;                     /* half the median depth of its SfM points, fine cells: what is nearer than this teaches less */
     int w, h;
-    uint8_t *rgb, *labels;          /* only for world_rgb, world_label and their kin */
+    int packed;                     /* 1: blocks and a label for 2 x 2 pixels; 0: plain bytes and a label each */
+    uint8_t *rgb, *labels;          /* these are for world_rgb, world_label and their kin only */
+    block *blocks;
     uint32_t obs_begin, obs_count;  /* into world.obs */
 } world_photo;
 
@@ -38,6 +41,9 @@ typedef struct {
     world_point *points; uint32_t npoints;
 } world;
 
+/* Plain pixels while they fit in here; larger collections are packed: a byte a pixel instead of three. */
+#define WORLD_PLAIN_BYTES ((size_t)1 << 30)
+
 /* Loads the training photos (never the test ones) at long_side and places the box with `longest` fine cells along its longest side. use_masks: take the sky label of given masks (never the transient one). */
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out);
 void world_free(world *w);
@@ -50,22 +56,32 @@ void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
 int  world_project(const world_photo *p, const float x[3], double uv[2], double *depth);
 /* Pixel (x, y), sRGB. */
-static inline void world_rgb(const world_photo *p, int x, int y, uint8_t rgb[3]) { memcpy(rgb, p->rgb + 3 * ((size_t)y * (size_t)p->w + (size_t)x), 3); }
+static inline void world_rgb(const world_photo *p, int x, int y, uint8_t rgb[3])
+{
+    if (p->packed) blocks_rgb(p->blocks, p->w, x, y, rgb);
+    else memcpy(rgb, p->rgb + 3 * ((size_t)y * (size_t)p->w + (size_t)x), 3);
+}
 /* Its label, four of them a byte. */
+static inline size_t world_label_at(const world_photo *p, int x, int y) { return (size_t)(y >> p->packed) * (size_t)((p->w + p->packed) >> p->packed) + (size_t)(x >> p->packed); }
 static inline int world_label(const world_photo *p, int x, int y)
 {
-    size_t i = (size_t)y * (size_t)p->w + (size_t)x;
+    size_t i = world_label_at(p, x, y);
     return p->labels[i / 4] >> 2 * (i % 4) & 3;
 }
-static inline void world_set_label(world_photo *p, int x, int y, int label)    /* one thread a photo */
+static inline void world_set_label(world_photo *p, int x, int y, int label)    /* one thread a photo; packed: of all 2 x 2 pixels */
 {
-    size_t i = (size_t)y * (size_t)p->w + (size_t)x;
+    size_t i = world_label_at(p, x, y);
     p->labels[i / 4] = (uint8_t)((p->labels[i / 4] & ~(3 << 2 * (i % 4))) | label << 2 * (i % 4));
 }
-static inline size_t world_label_bytes(const world_photo *p) { return ((size_t)p->w * (size_t)p->h + 3) / 4; }
-/* Gives a photo its size, pixels (w * h * 3) and labels from a sky mask (w * h: 255 surely sky .. 0 surely scene; NULL: all scene); both are copied. ORL_E_MEMORY. */
-orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky);
+static inline size_t world_label_bytes(const world_photo *p) { return (world_label_at(p, p->w - 1, p->h - 1) + 4) / 4; }
+/* Gives a photo its size, pixels (w * h * 3) and labels from a sky mask (w * h: 255 surely sky .. 0 surely scene; NULL: all scene); both are copied. Where 2 x 2 pixels share a label
+ * and differ, it is unknown. ORL_E_MEMORY. */
+orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky, int packed);
 int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, float *t1);
+
+/* A choice of at most `most` photos of together at most `pixels` pixels for what cannot ask all of a large collection: 1 for each chosen one, greedily by the SfM points that few chosen ones see yet,
+ * so that three or more see what can be seen. All of them if they fit. malloc'd; NULL: no memory. */
+uint8_t *world_cover(const world *w, int most, size_t pixels);
 
 struct stereo;
 /* Finds the ground (frame.ground). First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
