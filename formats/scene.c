@@ -37,29 +37,10 @@ static uint64_t get64(const uint8_t *p) { uint64_t v; memcpy(&v, p, 8); return v
 static int all_zero(const uint8_t *p, uint64_t n) { for (uint64_t i = 0; i < n; i++) if (p[i]) return 0; return 1; }
 static int within(float v, float limit) { return v >= -limit && v <= limit; }      /* false for NaN */
 
-/* [1.5], eight bytes a step; tables are small enough to make anew. */
-static uint32_t crc32_of(const uint8_t *p, uint64_t n, uint32_t crc)
-{
-    uint32_t t[8][256];
-    for (uint32_t i = 0; i < 256; i++) {
-        uint32_t c = i;
-        for (int k = 0; k < 8; k++) c = c & 1 ? c >> 1 ^ 0xEDB88320u : c >> 1;
-        t[0][i] = c;
-    }
-    for (int k = 1; k < 8; k++) for (int i = 0; i < 256; i++) t[k][i] = t[k - 1][i] >> 8 ^ t[0][t[k - 1][i] & 255];
-    crc = ~crc;
-    for (; n >= 8; n -= 8, p += 8) {
-        uint32_t a = get32(p) ^ crc, b = get32(p + 4);
-        crc = t[7][a & 255] ^ t[6][a >> 8 & 255] ^ t[5][a >> 16 & 255] ^ t[4][a >> 24] ^ t[3][b & 255] ^ t[2][b >> 8 & 255] ^ t[1][b >> 16 & 255] ^ t[0][b >> 24];
-    }
-    for (; n; n--) crc = crc >> 8 ^ t[0][(crc ^ *p++) & 255];
-    return ~crc;
-}
-
 static uint32_t header_crc(const uint8_t *b, uint32_t n)
 {
     static const uint8_t zero[4];
-    return crc32_of(b + 28, HEADER - 28 + (uint64_t)n * ENTRY, crc32_of(zero, 4, crc32_of(b, 24, 0)));
+    return orl_crc32(b + 28, HEADER - 28 + (size_t)n * ENTRY, orl_crc32(zero, 4, orl_crc32(b, 24, 0)));
 }
 
 /* ---- parse: header, table, sizes [2, 3] */
@@ -125,7 +106,7 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
     orl_err e = parse_table(b, n, name, l);
     if (e) return e;
     for (int i = 0; i < l->count; i++)
-        if (crc32_of(b + l->list[i].offset, l->list[i].bytes, 0) != l->list[i].crc) return orl_fail(ORL_E_FORMAT, "%s: section %s: checksum differs", name, l->list[i].tag);
+        if (orl_crc32(b + l->list[i].offset, l->list[i].bytes, 0) != l->list[i].crc) return orl_fail(ORL_E_FORMAT, "%s: section %s: checksum differs", name, l->list[i].tag);
     int scene = l->known[HEAD].at != NULL;
     uint64_t places = 0, bricks = 0;
     if (scene) {
@@ -411,7 +392,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
         uint64_t start = align64(at);
         memset(file + at, 0, (size_t)(start - at));
         if (bytes[t]) memcpy(file + start, data[t], (size_t)bytes[t]);
-        uint32_t crc = crc32_of(file + start, bytes[t], 0);
+        uint32_t crc = orl_crc32(file + start, bytes[t], 0);
         memcpy(entry, tags[t], 4);
         memcpy(entry + 4, &crc, 4);
         memcpy(entry + 8, &start, 8);

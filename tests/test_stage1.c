@@ -1,4 +1,4 @@
-/* Stage 1 gradients against finite differences, and repeatability of a step, on a tiny synthetic world. */
+/* Stage 1 gradients against finite differences, repeatability of a step, and steps that are dropped, on a tiny synthetic world. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -6,7 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 #include <cmocka.h>
+#include "oriel/image.h"
 #include "trainer/stage1.h"
+#include "trainer/stage2.h"
 
 /* Two cameras look along +y at a wall in a 32^3 box; the upper part of the photos is sky. */
 static void make_world(world *w)
@@ -128,8 +130,88 @@ static void steps_repeat(void **state)
     world_free(&w);
 }
 
+/* Checksum of all that a step may move. */
+static uint32_t state_of(const grid *const *all, int n)
+{
+    uint32_t crc = 0;
+    for (int i = 0; i < n; i++) {
+        size_t bytes = all[i]->nverts * (size_t)all[i]->c * sizeof(float);
+        crc = orl_crc32(all[i]->v, bytes, orl_crc32(all[i]->m, bytes, orl_crc32(all[i]->p, bytes, crc)));
+    }
+    return crc;
+}
+
+/* As if one ray of thread k had brought `what` for the SDF around x. */
+static void poison(grid *g, int thread, const float x[3], float what)
+{
+    grid_cell c;
+    grid_find(g, x, &c);
+    grid_value_back(g, thread, &c, what, NULL);
+}
+
+static void steps_without_finite_gradients_are_dropped(void **state)
+{
+    (void)state;
+    const float at[3] = { 16, 18, 9 }, hostile[] = { NAN, INFINITY, -1e30f };
+    const stage2_options o2 = { 400, 4, 6, 7, 2 };
+    world w;
+    stage1 s;
+    stage1_losses l;
+    make_world(&w);
+    assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 60, 7, 2, 0 }), ORL_OK);
+    assert_int_equal(stage1_start(&s, &w, NULL), ORL_OK);
+    const grid *all[] = { &s.sdf[0], &s.sdf[1], &s.sdf[2], &s.sdf[3], &s.feat[0], &s.feat[1], &s.codes, &s.transient };
+    for (int i = 0, k = 0; i < 60; i++) {
+        uint32_t before = state_of(all, 8);
+        int bad = i >= 20 && i < 23;
+        if (bad) poison(&s.sdf[1], k & 1, at, hostile[k]), k++;
+        assert_int_equal(stage1_step(&s, &l), !bad);
+        assert_int_equal(state_of(all, 8) == before, bad);
+    }
+    assert_int_equal(s.step, 60);
+    assert_true(isfinite(l.total));
+
+    /* a parameter that is no number is found by the first step that meets it, and mended */
+    size_t hurt = s.sdf[2].ax[4] + s.sdf[2].ay[5] + s.sdf[2].az[2];
+    s.sdf[2].p[hurt] = NAN;
+    s.opt.steps = 100;
+    int taken = 0;
+    for (int i = 0; i < 20; i++) taken += stage1_step(&s, &l);
+    assert_in_range(taken, 15, 19);
+    assert_true(isfinite(s.sdf[2].p[hurt]) && isfinite(l.total));
+
+    surface surf;
+    stage2 s2;
+    stage2_losses l2;
+    orl_light_model light;
+    orl_light_model_default(&light);
+    assert_int_equal(surface_build(&s, &surf), ORL_OK);
+    assert_int_equal(surface_light(&surf, 2), ORL_OK);
+    assert_int_equal(stage2_init(&s2, &w, &surf, &s, &light, &o2), ORL_OK);
+    assert_true(s2.begin[2] > 100);
+    const grid *shared[] = { &s2.albedo[0], &s2.albedo[1], &s2.albedo[2], &s2.shadow };
+    uint32_t before = state_of(shared, 4);
+    v4 nothing = { NAN, 0, 0, 0 };
+    s2.opt.steps = 1;                           /* a round of one step, which is dropped */
+    grid_cell c;
+    grid_find(&s2.albedo[2], at, &c);
+    grid_vector4_back(&s2.albedo[2], 1, &c, nothing);
+    stage2_round(&s2, &l2);
+    assert_int_equal(l2.dropped, 1);
+    assert_int_equal(state_of(shared, 4), before);
+    s2.opt.steps = 6;
+    stage2_round(&s2, &l2);
+    assert_int_equal(l2.dropped, 0);
+    assert_int_not_equal(state_of(shared, 4), before);
+    assert_true(isfinite(l2.mse) && isfinite(l2.adapt_rms));
+    stage2_free(&s2);
+    surface_free(&surf);
+    stage1_free(&s);
+    world_free(&w);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(gradients_match_finite_differences), cmocka_unit_test(steps_repeat) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(gradients_match_finite_differences), cmocka_unit_test(steps_repeat), cmocka_unit_test(steps_without_finite_gradients_are_dropped) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -5,6 +5,7 @@
 #include <math.h>
 #include <string.h>
 #include <unistd.h>
+#include "oriel/image.h"
 
 orl_err stage1_save(const stage1 *s, FILE *f, int moments)
 {
@@ -44,11 +45,23 @@ orl_err checkpoint_load_sky(world *w, FILE *f, const char *path)
     return ORL_OK;
 }
 
+/* CRC of header and of what follows it in f. */
+static int checksum(const checkpoint_header *h, FILE *f, uint32_t *crc)
+{
+    static uint8_t block[1 << 16];
+    checkpoint_header head = *h;
+    head.crc = 0;
+    *crc = orl_crc32(&head, sizeof head, 0);
+    if (fseek(f, sizeof head, SEEK_SET)) return 0;
+    for (size_t n; (n = fread(block, 1, sizeof block, f));) *crc = orl_crc32(block, n, *crc);
+    return !ferror(f);
+}
+
 orl_err checkpoint_save(const char *path, const checkpoint_header *h, const checkpoint_parts *p)
 {
     char tmp[1100];
     snprintf(tmp, sizeof tmp, "%s.tmp", path);
-    FILE *f = fopen(tmp, "wb");
+    FILE *f = fopen(tmp, "w+b");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
     checkpoint_header head = *h;
     memcpy(head.magic, "ORLCKPT3", 8);
@@ -59,7 +72,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     if (!e && h->phase >= 2) e = stage2_save(p->s2, f, h->phase == 2);
     if (!e && h->phase >= 2) e = save_sky(p->w, f);
     if (!e && h->phase >= 1) e = stage1_save(p->s1, f, h->phase == 1);
-    if (e || fflush(f) || fsync(fileno(f))) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
+    if (e || fflush(f) || !checksum(&head, f, &head.crc) || fseek(f, 0, SEEK_SET) || fwrite(&head, sizeof head, 1, f) != 1 || fflush(f) || fsync(fileno(f))) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     fclose(f);
     if (!e && rename(tmp, path)) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     if (e) unlink(tmp);
@@ -90,7 +103,7 @@ static int within(const checkpoint_header *h)
 {
     const struct { int value, lo, hi; } range[] = {
         { h->phase, 0, 3 }, { h->long_side, 16, ORL_IMAGE_MAX_SIDE }, { h->longest, 16, 2048 }, { h->rays, 1, 1 << 24 }, { h->steps, 1, 10000000 },
-        { h->pixels, 1, 1 << 24 }, { h->rounds, 1, 100000 }, { h->threads, 1, GRID_THREADS }, { h->nphotos, 2, 1000000 },
+        { h->pixels, 1, 1 << 24 }, { h->rounds, 1, 100000 }, { h->threads, 1, GRID_THREADS }, { h->nphotos, 2, 1000000 }, { h->dropped, 0, INT32_MAX },
     };
     for (size_t i = 0; i < sizeof range / sizeof *range; i++) if (range[i].value < range[i].lo || range[i].value > range[i].hi) return 0;
     return isfinite(h->seconds) && isfinite(h->cpu_seconds) && isfinite(h->samples);
@@ -104,6 +117,11 @@ orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
     if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT3", 8) || !within(&head)) {
         fclose(f);
         return orl_fail(ORL_E_FORMAT, "%s: not a checkpoint of this version", path);
+    }
+    uint32_t crc;
+    if (!checksum(&head, f, &crc) || crc != head.crc || fseek(f, sizeof head, SEEK_SET)) {
+        fclose(f);
+        return orl_fail(ORL_E_FORMAT, "%s: damaged or cut short: its checksum differs", path);
     }
     *h = head;
     *out = f;

@@ -17,6 +17,8 @@ typedef struct {
     uint32_t place;                 /* checkpoint_place of the photos it was made from; 0: not recorded */
     uint64_t seed;
     double seconds, cpu_seconds, samples;   /* spent so far */
+    int dropped;                    /* steps without finite gradients */
+    uint32_t crc;                   /* of the whole file, this field 0 */
 } checkpoint_header;
 
 /* What there is of a run; what its phase does not need may be NULL. */
@@ -25,7 +27,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
 orl_err checkpoint_load_sky(world *w, FILE *f, const char *path);
 /* Checksum of the photos' names, sizes and cameras in the grid frame: tells one place's checkpoint from another's. Never 0. */
 uint32_t checkpoint_place(const world *w);
-/* Reads and checks the header; what follows it is read from f, which the caller closes. */
+/* Checks header and checksum; what follows the header is read from f, which the caller closes. */
 orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **f);
 orl_err stage1_save(const stage1 *s, FILE *f, int moments);
 orl_err stage1_load(stage1 *s, FILE *f, int moments, const char *path);

@@ -5,7 +5,7 @@
 #include <string.h>
 #include "trainer/checkpoint.h"
 
-static uint8_t quant8(float v) { return (uint8_t)(v <= 0 ? 0 : v >= 1 ? 255 : (int)(v * 255.0f + 0.5f)); }
+static uint8_t quant8(float v) { return (uint8_t)(!(v > 0) ? 0 : v >= 1 ? 255 : (int)(v * 255.0f + 0.5f)); }      /* what is no number becomes 0, here and below */
 
 static void shadow_scales(const surface *surf, const stage2 *s2, float scale[ORL_SHADOW_DIM])
 {
@@ -65,7 +65,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
         int o[3] = { (int)(i % (size_t)surf->nb[0]) * 8, (int)(i / (size_t)surf->nb[0] % (size_t)surf->nb[1]) * 8, (int)(i / ((size_t)surf->nb[0] * (size_t)surf->nb[1])) * 8 };
         for (int v = 0; v < ORL_BRICK_VERTS; v++) {
             float q = surf->sdf[b * ORL_BRICK_VERTS + (size_t)v] * ORL_SDF_UNIT;
-            sdf[b * ORL_BRICK_VERTS + (size_t)v] = (int8_t)(q > 127 ? 127 : q < -128 ? -128 : (int)floorf(q + 0.5f));
+            sdf[b * ORL_BRICK_VERTS + (size_t)v] = (int8_t)(q > 127 ? 127 : q < -128 ? -128 : q == q ? (int)floorf(q + 0.5f) : 0);
             float x[3] = { (float)(o[0] + v % 9), (float)(o[1] + v / 9 % 9), (float)(o[2] + v / 81) }, a[3];
             stage2_albedo(s2, x, a);
             for (int c = 0; c < 3; c++) albedo[(b * ORL_BRICK_VERTS + (size_t)v) * 3 + (size_t)c] = quant8(sqrtf(a[c]));
@@ -79,7 +79,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
             for (int k = 0; k < ORL_HORIZON; k++) ol[1 + k] = quant8(l[1 + k] * (1 / 1.5707963f));
             for (int k = 0; k < ORL_SHADOW_DIM; k++) {
                 float q = floorf(p[k] / sc.shadow_scale[k] + 0.5f);
-                os[k] = (int8_t)(q > 127 ? 127 : q < -127 ? -127 : q);
+                os[k] = (int8_t)(q > 127 ? 127 : q < -127 ? -127 : q == q ? q : 0);
             }
         }
     }

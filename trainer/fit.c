@@ -107,6 +107,7 @@ typedef struct {
     stage2_options o2;
     orl_light_model light;
     double start, cpu0, before, before_cpu, last_save;
+    int stuck;                      /* steps dropped in a row */
 } run;
 
 static orl_err save(run *r)
@@ -177,6 +178,14 @@ static orl_err run_stereo(run *r)
     return save(r);
 }
 
+/* A step that is dropped now and then is only counted; when nothing else happens any more, the run ends. */
+static orl_err count_dropped(run *r, int dropped, int moved)
+{
+    r->head.dropped += dropped;
+    r->stuck = moved ? 0 : r->stuck + dropped;
+    return r->stuck < 100 ? ORL_OK : orl_fail(ORL_E_DEGENERATE, "%s: %d steps in a row had no finite gradient", r->w.title, r->stuck);
+}
+
 static orl_err run_stage1(run *r)
 {
     stage1 *s = &r->s1;
@@ -186,7 +195,9 @@ static orl_err run_stage1(run *r)
     orl_err e;
     while (s->step < r->head.steps) {
         stage1_losses l;
-        stage1_step(s, &l);
+        int taken = stage1_step(s, &l);
+        if ((e = count_dropped(r, !taken, taken))) return e;
+        if (!taken) continue;
         r->head.samples += l.samples;
         double k = s->step - first < 50 ? 1.0 / (s->step - first) : 0.02;
         for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
@@ -215,6 +226,7 @@ static orl_err run_stage2(run *r)
     while (s->round < r->head.rounds) {
         stage2_losses l;
         stage2_round(s, &l);
+        if ((e = count_dropped(r, l.dropped, l.dropped < s->opt.steps))) return e;
         if (spent(r, 1)) s->opt.rounds = r->head.rounds = s->round;
         char text[200];
         snprintf(text, sizeof text, "stage 2  round %d  PSNR %.2f  codes' rms %.3f  degenerate %d", s->round, -10 * log10(l.mse + 1e-9), l.adapt_rms, l.degenerate);
@@ -266,11 +278,12 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     struct rusage u;
     getrusage(RUSAGE_SELF, &u);
     fprintf(stderr, "%s: %.1f MB, %u bricks, %.1f minutes, peak memory %.2f GB\n", o->output, (double)bytes * 1e-6, r.surf.nbricks, head->seconds / 60, (double)u.ru_maxrss * 1e-6);
+    if (head->dropped) fprintf(stderr, "%d steps without finite gradients were dropped\n", head->dropped);
     if (o->json) {
         printf("{\"scene\": ");
         print_json_string(d->name);
-        printf(", \"seconds\": %.1f, \"cpu_seconds\": %.1f, \"samples_per_core_second\": %.0f, \"peak_bytes\": %.0f, \"scene_bytes\": %zu, \"bricks\": %u}\n", head->seconds, head->cpu_seconds,
-               head->samples / (head->cpu_seconds > 0 ? head->cpu_seconds : 1), (double)u.ru_maxrss * 1024, bytes, r.surf.nbricks);
+        printf(", \"seconds\": %.1f, \"cpu_seconds\": %.1f, \"samples_per_core_second\": %.0f, \"peak_bytes\": %.0f, \"scene_bytes\": %zu, \"bricks\": %u, \"dropped_steps\": %d}\n", head->seconds, head->cpu_seconds,
+               head->samples / (head->cpu_seconds > 0 ? head->cpu_seconds : 1), (double)u.ru_maxrss * 1024, bytes, r.surf.nbricks, head->dropped);
     }
 done:
     if (ck) fclose(ck);

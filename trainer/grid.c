@@ -170,39 +170,81 @@ static void sum_over_ranks(grid *g, int threads)
     }
 }
 
-typedef struct { grid *g; float lr; } adam_job;
-
-static void adam_tiles(void *user, int begin, int end)
+/* The first tile from t on that a thread touched; eight are skipped at a time (dirty is padded). */
+static int next_dirty(const grid *g, int t, int end)
 {
-    adam_job *job = user;
+    while (t < end) {
+        uint64_t any = 0;
+        for (int k = 0; k < g->threads; k++) {
+            uint64_t eight;
+            memcpy(&eight, g->dirty[k] + t, sizeof eight);
+            any |= eight;
+        }
+        if (!any) { t += 8; continue; }
+        int one = 0;
+        for (int k = 0; k < g->threads; k++) one |= g->dirty[k][t];
+        if (one) return t;
+        t++;
+    }
+    return end;
+}
+
+typedef struct { grid *g; float lr; int bad; } tile_job;
+
+static void sum_tiles(void *user, int begin, int end)
+{
+    tile_job *job = user;
     grid *g = job->g;
     size_t span = (size_t)GRID_TILE * (size_t)g->c;
-    for (int t = begin; t < end; t++) {
-        if (t % 8 == 0) {                       /* most tiles are far from where the rays went: eight at a time */
-            uint64_t eight, some = 0;
-            for (int k = 0; k < g->threads; k++) { memcpy(&eight, g->dirty[k] + t, sizeof eight); some |= eight; }
-            if (!some) { t += 7; continue; }
-        }
-        int any = 0;
-        for (int k = 0; k < g->threads; k++) any |= g->dirty[k][t];
-        if (!any) continue;
-        g->live[t] = 1;
+    int sound = 1;
+    for (int t = next_dirty(g, begin, end); t < end; t = next_dirty(g, t + 1, end)) {
         float *sum = NULL;
         for (int k = 0; k < g->threads; k++) {
             if (!g->dirty[k][t]) continue;
-            g->dirty[k][t] = 0;
             float *gk = g->g[k] + (size_t)t * span;
             if (!sum) { sum = gk; continue; }
+            g->dirty[k][t] = 0;
             for (size_t i = 0; i < span; i++) sum[i] += gk[i];
             memset(gk, 0, span * sizeof *gk);
         }
+        for (size_t i = 0; i < span; i++) sound &= fabsf(sum[i]) < 1e15f;
+    }
+    if (!sound) __atomic_store_n(&job->bad, 1, __ATOMIC_RELAXED);
+}
+
+int grid_sum(grid *g, int threads)
+{
+    tile_job job = { .g = g };
+    if (ranks_count() > 1) sum_over_ranks(g, threads);
+    orl_parallel(threads, (int)g->ntiles, 512, sum_tiles, &job);
+    return !job.bad;
+}
+
+enum { BLOCK = 16 };
+
+static void adam_tiles(void *user, int begin, int end)
+{
+    tile_job *job = user;
+    grid *g = job->g;
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    for (int t = next_dirty(g, begin, end); t < end; t = next_dirty(g, t + 1, end)) {
+        g->live[t] = 1;
+        int k = 0;
+        while (!g->dirty[k][t]) k++;
+        g->dirty[k][t] = 0;
+        float *sum = g->g[k] + (size_t)t * span;
         float *p = g->p + (size_t)t * span, *m = g->m + (size_t)t * span, *v = g->v + (size_t)t * span;
-        for (size_t i = 0; i < span; i++) {
-            float d = sum[i], touched = d != 0.0f ? 1.0f : 0.0f;
-            float m1 = 0.9f * m[i] + 0.1f * d, v1 = 0.99f * v[i] + 0.01f * d * d;
-            m[i] = touched != 0 ? m1 : m[i];
-            v[i] = touched != 0 ? v1 : v[i];
-            p[i] -= touched * job->lr * m1 / (sqrtf(v1) + 1e-12f);
+        for (size_t at = 0; at < span; at += BLOCK) {
+            int any = 0;
+            for (size_t i = at; i < at + BLOCK; i++) any |= sum[i] != 0;
+            if (!any) continue;                 /* parameters and moments of vertices that no ray touched are not even read */
+            for (size_t i = at; i < at + BLOCK; i++) {
+                float d = sum[i], touched = d != 0.0f ? 1.0f : 0.0f;
+                float m1 = 0.9f * m[i] + 0.1f * d, v1 = 0.99f * v[i] + 0.01f * d * d;
+                m[i] = touched != 0 ? m1 : m[i];
+                v[i] = touched != 0 ? v1 : v[i];
+                p[i] -= touched * job->lr * m1 / (sqrtf(v1) + 1e-12f);
+            }
         }
         memset(sum, 0, span * sizeof *sum);
     }
@@ -210,9 +252,21 @@ static void adam_tiles(void *user, int begin, int end)
 
 void grid_adam(grid *g, float lr, int threads)
 {
-    adam_job job = { g, lr };
-    if (ranks_count() > 1) sum_over_ranks(g, threads);
+    tile_job job = { .g = g, .lr = lr };
     orl_parallel(threads, (int)g->ntiles, 512, adam_tiles, &job);
+}
+
+void grid_drop(grid *g)
+{
+    size_t span = (size_t)GRID_TILE * (size_t)g->c;
+    for (size_t t = 0; t < g->ntiles; t++) {
+        for (int k = 0; k < g->threads; k++) {
+            if (g->dirty[k][t]) memset(g->g[k] + t * span, 0, span * sizeof(float));
+            g->dirty[k][t] = 0;
+        }
+        float *all[3] = { g->p + t * span, g->m + t * span, g->v + t * span };
+        for (int a = 0; g->live[t] && a < 3; a++) for (size_t i = 0; i < span; i++) if (!isfinite(all[a][i])) all[a][i] = 0;
+    }
 }
 
 orl_err grid_save(const grid *g, FILE *f, int moments)

@@ -33,8 +33,12 @@ typedef struct { uint32_t i[8]; float fx, fy, fz; } grid_cell;
 /* dims in fine cells (each a multiple of cell). threads = 0: not trained. */
 orl_err grid_init(grid *g, const int dims[3], int cell, int c, int threads);
 void grid_free(grid *g);
-/* Sums gradients over all threads of all ranks, in that order. Adam with beta1 0.9, beta2 0.99 on touched vertices (no bias correction needed: the first step is lr by construction). Clears gradients. */
+/* Sums gradients over all threads of all ranks, in that order; 0 if one is no number, or too large to be squared. Before any grid of a step is changed: then grid_adam for all of them, or grid_drop. */
+int grid_sum(grid *g, int threads);
+/* Adam with beta1 0.9, beta2 0.99 on touched vertices (no bias correction needed: the first step is lr by construction). Clears gradients. */
 void grid_adam(grid *g, float lr, int threads);
+/* Forgets the gradients. Parameters and moments that are no numbers become 0. */
+void grid_drop(grid *g);
 /* Between steps: gives the memory of gradients, which are zero, back. */
 void grid_trim(grid *g);
 /* Trained no more: values stay. */

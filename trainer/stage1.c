@@ -566,18 +566,30 @@ void stage1_gradients(stage1 *s, stage1_losses *out)
     out->eikonal /= out->samples > 0 ? out->samples : 1;
 }
 
-void stage1_step(stage1 *s, stage1_losses *out)
+int stage1_step(stage1 *s, stage1_losses *out)
 {
     schedule c = schedule_at(s);
-    int T = s->opt.threads;
+    int T = s->opt.threads, n = 0, sound;
+    grid *all[SDF_LEVELS + FEAT_LEVELS + 2];
+    for (int l = 0; l < SDF_LEVELS; l++) all[n++] = &s->sdf[l];
+    for (int l = 0; l < FEAT_LEVELS; l++) all[n++] = &s->feat[l];
+    all[n++] = &s->codes;
+    all[n++] = &s->transient;
     stage1_gradients(s, out);
+    s->step++;
+    sound = isfinite(out->total);
+    for (int i = 0; i < n; i++) sound &= grid_sum(all[i], T);
+    if (!sound) {
+        for (int i = 0; i < n; i++) grid_drop(all[i]);
+        return 0;
+    }
     static const float LR[SDF_LEVELS] = { 0.03f, 0.04f, 0.06f, 0.08f };
     for (int l = c.finest; l < SDF_LEVELS; l++) grid_adam(&s->sdf[l], LR[l] * c.lr, T);
     for (int l = 0; l < FEAT_LEVELS; l++) grid_adam(&s->feat[l], 0.012f * (0.2f + 0.8f * c.lr), T);
     grid_adam(&s->codes, 0.004f * c.lr, T);
     grid_adam(&s->transient, 0.03f, T);
     if (s->step % 4 == 0) grid_trim(&s->transient);     /* steps reach other pixels each time, and in the end all of them */
-    s->step++;
+    return 1;
 }
 
 float stage1_sdf(const stage1 *s, const float x[3], float grad[3])

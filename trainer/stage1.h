@@ -37,8 +37,8 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st);
 void stage1_free(stage1 *s);
 /* Trained no more: keeps what stage1_sdf, stage1_colour and stage1_transient need. */
 void stage1_freeze(stage1 *s);
-/* One optimisation step; repeatable for seed, step and thread count. */
-void stage1_step(stage1 *s, stage1_losses *out);
+/* One optimisation step; repeatable for seed, step and thread count. 0: loss or a gradient was no number and the step was dropped, nothing moved. */
+int stage1_step(stage1 *s, stage1_losses *out);
 /* Its first half: losses of the step's batch, gradients left in the grids (tests compare them with finite differences). */
 void stage1_gradients(stage1 *s, stage1_losses *out);
 /* Sum of all SDF levels at a point (fine cells) and its gradient (may be NULL). */

@@ -269,6 +269,9 @@ static void code_photos(void *user, int begin, int end)
             memset(&res, 0, sizeof res);
             if (orl_adapt(&s->light, smp, use, cold ? NULL : s->codes[k], &opt, work, bytes, &res)) continue;
             o->degenerate = res.status == ORL_ADAPT_DEGENERATE;
+            int sound = isfinite(res.rms);
+            for (int i = 0; i < ORL_CODE; i++) sound &= isfinite(res.code[i]);
+            if (!sound) continue;
             memcpy(o->code, res.code, sizeof res.code);
             o->rms = res.rms;
         }
@@ -346,11 +349,25 @@ void stage2_round(stage2 *s, stage2_losses *out)
         out->adapt_rms += found[i].rms / visits(s);
         out->degenerate += found[i].degenerate;
     }
+    grid *all[ALBEDO_LEVELS + 1] = { [ALBEDO_LEVELS] = &s->shadow };
+    for (int l = 0; l < ALBEDO_LEVELS; l++) all[l] = &s->albedo[l];
     float decay = expf(logf(0.1f) * (float)s->round / (float)(R > 0 ? R : 1));
     for (int step = 0; step < s->opt.steps; step++) {
         memset(sums, 0, (size_t)N * sizeof *sums);
         orl_parallel(T, T, 1, grad_photos, &(grad_job){ s, step, sums, lights });
         ranks_merge(sums, (size_t)N * sizeof *sums);
+        double sum = 0;                         /* of all that must be a number */
+        for (int t = 0; t < N; t++) {
+            sum += sums[t].mse + sums[t].weight;
+            for (int i = 0; i < SHARED; i++) sum += (double)sums[t].shared[i] * sums[t].shared[i];
+        }
+        int sound = sum < 1e30;
+        for (int l = 0; l <= ALBEDO_LEVELS; l++) sound &= grid_sum(all[l], T);
+        if (!sound) {
+            for (int l = 0; l <= ALBEDO_LEVELS; l++) grid_drop(all[l]);
+            out->dropped++;
+            continue;
+        }
         for (int t = 0; t < N; t++) { mse += sums[t].mse; weight += sums[t].weight; }
         static const float LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f };
         for (int l = 0; l < ALBEDO_LEVELS; l++) grid_adam(&s->albedo[l], LR[l] * decay, T);

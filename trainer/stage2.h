@@ -15,7 +15,7 @@ typedef struct {
 } stage2_pixel;
 
 typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo (fewer where many photos would make too many in all); steps per round */
-typedef struct { double mse, shadow, adapt_rms; int degenerate; } stage2_losses;
+typedef struct { double mse, shadow, adapt_rms; int degenerate, dropped; } stage2_losses;        /* dropped: steps whose loss or gradient was no number; they moved nothing */
 
 typedef struct {
     const world *w;

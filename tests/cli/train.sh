@@ -64,7 +64,7 @@ same() { cmp -s "$W/$1.oriel" "$W/$2.oriel"; }
 
 # fit: figures, a scene that oriel reads, a checkpoint; once more the same bytes; another seed, others
 fit ref --json >"$W/fit.json" 2>"$W/err" || fail "fit: $(tail -3 "$W/err")"
-json "$W/fit.json" seconds cpu_seconds samples_per_core_second peak_bytes scene_bytes
+json "$W/fit.json" seconds cpu_seconds samples_per_core_second peak_bytes scene_bytes dropped_steps
 [ -s "$W/ref.oriel.ckpt" ] || fail "no checkpoint"
 "$B/oriel" info "$W/ref.oriel" >"$W/info" || fail "info"
 grep -q "ref.oriel: place, $(stat -c %s "$W/ref.oriel") bytes" "$W/info" && grep -q "codes  *$photos training photos" "$W/info" || fail "info: $(cat "$W/info")"
@@ -119,24 +119,30 @@ resume() { # PATTERN SCENE [OPTION]...
 }
 ckpt=$W/bad.oriel.ckpt
 resume 'bad.oriel.ckpt' "$place"
-head -c 79 "$W/phase2" >"$ckpt"
+head -c 87 "$W/phase2" >"$ckpt"
 resume 'bad.oriel.ckpt: not a checkpoint' "$place"
 cp "$place/photos/train_000.jpg" "$ckpt"
 resume 'bad.oriel.ckpt: not a checkpoint' "$place"
 for p in 0 1 2; do
     whole=$(stat -c %s "$W/phase$p")
-    for bytes in 80 $((whole / 3)) $((whole - 1)); do
+    for bytes in 88 $((whole / 3)) $((whole - 1)); do
         head -c "$bytes" "$W/phase$p" >"$ckpt"
         resume 'bad.oriel.ckpt: ' "$place"
     done
-    { head -c 80 "$W/phase$p"; cat "$place"/photos/*.jpg; } >"$ckpt"
+    { head -c 88 "$W/phase$p"; cat "$place"/photos/*.jpg; } >"$ckpt"
     resume 'bad.oriel.ckpt: ' "$place"
 done
+spoil() { cp "$W/phase1" "$ckpt"; printf "$2" | dd of="$ckpt" bs=1 seek="$1" conv=notrunc status=none; }
 for at in 8 20 36 40; do                        # header: phase, rays, threads, photos
-    cp "$W/phase1" "$ckpt"
-    printf '\377\377\377\377' | dd of="$ckpt" bs=1 seek=$at conv=notrunc status=none
+    spoil $at '\377\377\377\377'
     resume 'bad.oriel.ckpt: not a checkpoint' "$place"
 done
+whole=$(stat -c %s "$W/phase1")
+for at in 48 84 $((whole / 2)) $((whole - 2)); do       # seed, checksum, somewhere, the end
+    spoil $at '\125\252'
+    resume 'bad.oriel.ckpt: damaged' "$place"
+done
+expect 1 'bad.oriel.ckpt: damaged' "$T" eval "$place" --scene "$W/ref.oriel" --checkpoint "$ckpt"
 cp "$W/phase2" "$ckpt"
 resume 'bad.oriel.ckpt: made from other photos' "$other"
 cp -r "$place" "$W/swapped"                     # the same box and cameras, but two photos have changed places
