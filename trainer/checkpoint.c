@@ -6,6 +6,7 @@
 #include <string.h>
 #include <unistd.h>
 #include "oriel/image.h"
+#include "trainer/refine.h"
 
 orl_err stage1_save(const stage1 *s, FILE *f, int moments)
 {
@@ -72,6 +73,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     if (!e && h->phase >= 2) e = stage2_save(p->s2, f, h->phase == 2);
     if (!e && h->phase >= 2) e = save_sky(p->w, f);
     if (!e && h->phase >= 1) e = stage1_save(p->s1, f, h->phase == 1);
+    if (!e && h->phase >= 1) e = refine_save(p->w, f);
     if (e || fflush(f) || !checksum(&head, f, &head.crc) || fseek(f, 0, SEEK_SET) || fwrite(&head, sizeof head, 1, f) != 1 || fflush(f) || fsync(fileno(f))) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     fclose(f);
     if (!e && rename(tmp, path)) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));

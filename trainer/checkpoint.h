@@ -3,7 +3,8 @@
  *   phase 0 (stereo under way)    depth maps
  *   phase 1 (stage 1 under way)   stereo points, stage 1 with moments
  *   phase 2 (stage 2 under way)   surface, stage 2 with moments, sky labels, stage 1 without
- *   phase 3 (done)                surface, stage 2 without moments, sky labels, stage 1 without */
+ *   phase 3 (done)                surface, stage 2 without moments, sky labels, stage 1 without
+ * and from phase 1 on the corrections of poses and lenses. */
 #ifndef TRAINER_CHECKPOINT_H
 #define TRAINER_CHECKPOINT_H
 #include "trainer/stage1.h"

@@ -273,6 +273,8 @@ orl_err orl_photo_load_mask(const orl_photo *p, int w, int h, orl_image *out)
     int turned;
     if (!p->mask[0]) return orl_fail(ORL_E_IO, "%s: no mask given", p->name);
     orl_err e = photo_decode(p->mask, 1, &full, &turned);
+    if (!e && llabs((long long)full.w * p->cam.h - (long long)full.h * p->cam.w) > p->cam.w + p->cam.h)     /* smaller or larger is fine */
+        e = orl_fail(ORL_E_FORMAT, "%s: mask is %d x %d, its photo %d x %d", p->mask, full.w, full.h, p->cam.w, p->cam.h);
     if (!e) e = orl_image_alloc(&o, w, h, 1);
     for (int y = 0; !e && y < h; y++)
         for (int x = 0; x < w; x++) o.px[(size_t)y * (size_t)w + (size_t)x] = full.px[(size_t)((2 * y + 1) * full.h / (2 * h)) * (size_t)full.w + (size_t)((2 * x + 1) * full.w / (2 * w))];

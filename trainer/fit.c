@@ -12,6 +12,7 @@
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
 #include "trainer/ranks.h"
+#include "trainer/refine.h"
 
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {
@@ -20,14 +21,14 @@ static const preset PRESETS[] = {
     { "standard", 512, 512, 4096,  6000, 90000,  50 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
-enum { ROUND_STEPS = 6 };
+enum { ROUND_STEPS = 6, REFINE_ROUNDS = 6 };
 
 static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
     "      --preset NAME      demo, quick, standard (default) or full: about 2, 6, 25, 180 minutes on two cores\n"
-    "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky and --no-masks again)\n"
+    "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky, --no-masks and --refine-poses again)\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"
     "      --steps N          stage 1 steps, instead of the preset's\n"
@@ -37,6 +38,7 @@ static const char USAGE[] =
     "      --checkpoint-seconds S  between two checkpoints, default 30\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
     "      --no-masks         do not read given masks (sky is segmented by the program)\n"
+    "      --refine-poses on|off   correct poses and lenses along with the scene, default off\n"
     "      --seed N           default 1; runs repeat for the same seed and number of threads (of all ranks)\n"
     "      --threads N        default: all cores, shared out among the ranks of a machine\n"
     "      --json             figures on standard output at the end\n"
@@ -89,7 +91,7 @@ static void progress(double start, double done, const char *text)
 typedef struct {
     char output[900], ckpt[1000];
     const char *sky;
-    int resume, stage2, use_masks, json;
+    int resume, stage2, use_masks, json, refine;
     double budget, checkpoint_seconds;
     checkpoint_header head;
 } fit_options;
@@ -142,7 +144,8 @@ static orl_err resume(run *r, FILE *ck)
     if (phase == 1) {
         e = stereo_load(&r->st, &r->w, ck, path);
         if (!e) e = stage1_start(&r->s1, &r->w, &r->st);
-        return e ? e : stage1_load(&r->s1, ck, 1, path);
+        if (!e) e = stage1_load(&r->s1, ck, 1, path);
+        return e ? e : refine_load(&r->w, ck, path);
     }
     if ((e = surface_load(&r->surf, ck, path))) return e;
     stage2 skip = { 0 };
@@ -154,10 +157,18 @@ static orl_err resume(run *r, FILE *ck)
     stage2_free(&skip);
     if (!e) e = checkpoint_load_sky(&r->w, ck, path);
     if (!e) e = stage1_load(&r->s1, ck, 0, path);
+    if (!e) e = refine_load(&r->w, ck, path);
     if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
     if (!e && !r->o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&r->s2, ck, phase == 2, path);
     if (!e && (r->s2.round < 0 || r->s2.round > r->head.rounds)) e = orl_fail(ORL_E_RANGE, "%s: stage 2 round %d of %d", path, r->s2.round, r->head.rounds);
     return e;
+}
+
+static void refine(run *r, const stage1 *s, int round)
+{
+    refine_figures f;
+    refine_photos(&r->w, s, r->head.seed, round, r->head.threads, &f);
+    fprintf(stderr, "poses and lenses: reprojection %.3f -> %.3f px; corrected by %.3f degrees, %.3f cells, focal length %.3f %%\n", f.before, f.after, f.degrees, f.cells, 100 * f.focal);
 }
 
 static orl_err run_stereo(run *r)
@@ -198,6 +209,8 @@ static orl_err run_stage1(run *r)
         int taken = stage1_step(s, &l);
         if ((e = count_dropped(r, !taken, taken))) return e;
         if (!taken) continue;
+        int every = r->head.steps / (REFINE_ROUNDS + 2);        /* once there is a surface, and not when it has settled */
+        if (r->o->refine && every && s->step % every == 0 && s->step > every && s->step <= (REFINE_ROUNDS + 1) * every) refine(r, s, s->step / every);
         r->head.samples += l.samples;
         double k = s->step - first < 50 ? 1.0 / (s->step - first) : 0.02;
         for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
@@ -266,6 +279,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     if ((e = stage1_init(&r.s1, &r.w, &o1))) goto done;
     if (o->sky) { if ((e = orl_sky_load(o->sky, &r.light))) goto done; }
     else orl_light_model_default(&r.light);
+    if (o->refine && head->phase <= 1) refine(&r, NULL, 0);     /* by the SfM points alone, before anything is built on it; hence again by a run that is resumed */
     if (head->phase == 0 && (e = stereo_begin(&r.w, head->seed, head->threads, &r.maps))) goto done;
     if (ck && (e = resume(&r, ck))) goto done;
     if (o->stage2) head->phase = 2;
@@ -315,10 +329,10 @@ static int whole(const char *text, int lo, int hi, int *out)
 
 int cmd_fit(int argc, char **argv)
 {
-    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, SEED, THREADS, JSON };
+    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, REFINE, SEED, THREADS, JSON };
     static const struct option LONG[] = {
         { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
-        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
+        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "refine-poses", 1, 0, REFINE }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
     fit_options o = { .use_masks = 1, .checkpoint_seconds = 30 };
     const preset *p = &PRESETS[2];
@@ -342,6 +356,7 @@ int cmd_fit(int argc, char **argv)
         case CHECKPOINT: ok = number(optarg, 0, 1e9, &o.checkpoint_seconds); break;
         case SKY: o.sky = optarg; break;
         case NO_MASKS: o.use_masks = 0; break;
+        case REFINE: o.refine = !strcmp(optarg, "on"); ok = o.refine || !strcmp(optarg, "off"); break;
         case SEED: ok = number(optarg, 0, 9e15, &seed) && seed == floor(seed); break;
         case THREADS: ok = whole(optarg, 1, 1024, &threads); break;
         case JSON: o.json = 1; break;

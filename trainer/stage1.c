@@ -385,6 +385,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         for (int a = 0; a < 3; a++) {
             C[a] = (1 - at) * stat[a] + at * (0.5f + tv[0][1 + a]);
             float e = C[a] - target[a];
+            if ((rgb[a] >= 254 && e > 0) || (rgb[a] <= 1 && e < 0)) e = 0;    /* clipped: what lies beyond is as good */
             err2 += e * e;
             dC[a] = 2 * e * scale;
         }

@@ -13,6 +13,23 @@ void frame_apply(const frame *f, const double w[3], double g[3])
     for (int i = 0; i < 3; i++) g[i] = f->scale * (f->R[3 * i] * w[0] + f->R[3 * i + 1] * w[1] + f->R[3 * i + 2] * w[2]) + f->offset[i];
 }
 
+void world_correct(world_photo *p)
+{
+    const double *f = p->fix, *A = p->given_axes;
+    double angle = sqrt(f[0] * f[0] + f[1] * f[1] + f[2] * f[2]), s = angle > 1e-12 ? sin(angle) / angle : 1, c = angle > 1e-6 ? (1 - cos(angle)) / (angle * angle) : 0.5;
+    const double K[9] = { 0, -f[2], f[1], f[2], 0, -f[0], -f[1], f[0], 0 };
+    double E[9];                                /* exp(omega), Rodrigues */
+    for (int i = 0; i < 3; i++) for (int j = 0; j < 3; j++) E[3 * i + j] = (i == j) + s * K[3 * i + j] + c * (K[3 * i] * K[j] + K[3 * i + 1] * K[3 + j] + K[3 * i + 2] * K[6 + j]);
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) p->axes[3 * i + j] = A[3 * i] * E[3 * j] + A[3 * i + 1] * E[3 * j + 1] + A[3 * i + 2] * E[3 * j + 2];
+        p->centre[i] = p->given_centre[i] + A[3 * i] * f[3] + A[3 * i + 1] * f[4] + A[3 * i + 2] * f[5];
+    }
+    p->cam = p->given_cam;
+    p->cam.fx *= exp(f[6]);
+    p->cam.fy *= exp(f[6]);
+    p->cam.k1 += f[7];
+}
+
 void world_ray(const world_photo *p, double u, double v, float dir[3])
 {
     double c[3];
@@ -102,7 +119,37 @@ static double percentile(double *v, int n, double q)
     return v[(int)(q * (n - 1) + 0.5)];
 }
 
-static orl_err place(const orl_dataset *d, int longest, frame *f)
+/* SfM points in reach: a hundred times the median distance from the middle at most. What is farther (clouds, rays all but parallel, no numbers at all) is no surface that could be learned, and
+ * would stretch the box. where: a point's index among those kept, -1 for others. */
+typedef struct { double (*x)[3]; int32_t *where; int n; } reach;
+
+static int reach_find(const orl_dataset *d, reach *r)
+{
+    size_t n = d->npoints;
+    double *v = malloc((n + 1) * sizeof *v), mid[3] = { 0 };
+    r->x = malloc((n + 1) * sizeof *r->x);
+    r->where = malloc((n + 1) * sizeof *r->where);
+    r->n = 0;
+    if (!v || !r->x || !r->where) { free(v); return 0; }
+    for (int a = 0; n && a < 3; a++) {
+        for (size_t i = 0; i < n; i++) v[i] = d->points[i].xyz[a];
+        mid[a] = percentile(v, (int)n, 0.5);
+    }
+    for (int pass = 0; n && pass < 2; pass++) {
+        double most = pass ? 100 * percentile(v, (int)n, 0.5) : 0;
+        for (size_t i = 0; i < n; i++) {
+            const double *x = d->points[i].xyz;
+            double away = hypot(hypot(x[0] - mid[0], x[1] - mid[1]), x[2] - mid[2]);
+            if (!pass) { v[i] = away; continue; }
+            r->where[i] = away <= most ? r->n : -1;
+            if (away <= most) memcpy(r->x[r->n++], x, sizeof *r->x);
+        }
+    }
+    free(v);
+    return 1;
+}
+
+static orl_err place(const orl_dataset *d, const reach *pts, int longest, frame *f)
 {
     double xx[9] = { 0 }, ydown[3] = { 0 }, up[3];
     int ncam = 0;
@@ -115,7 +162,7 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
         }
         ncam++;
     }
-    if (ncam < 2 || d->npoints < 16) return orl_fail(ORL_E_DEGENERATE, "%s: %d training photos and %u points are too few", d->dir, ncam, d->npoints);
+    if (ncam < 2 || pts->n < 16) return orl_fail(ORL_E_DEGENERATE, "%s: %d training photos and %d points are too few", d->dir, ncam, pts->n);
     smallest_axis(xx, up);
     if (up[0] * ydown[0] + up[1] * ydown[1] + up[2] * ydown[2] > 0) for (int a = 0; a < 3; a++) up[a] = -up[a];
     double x[3] = { 1, 0, 0 }, y[3];
@@ -137,12 +184,12 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
     }
     for (int a = 0; a < 3; a++) { f->R[a] = x[a]; f->R[3 + a] = y[a]; f->R[6 + a] = up[a]; }
 
-    int np = (int)d->npoints, cap = np > (int)d->nphotos ? np : (int)d->nphotos;
+    int np = pts->n, cap = np > (int)d->nphotos ? np : (int)d->nphotos;
     double *v = malloc((size_t)cap * sizeof *v), lo[3], hi[3], clo[3], chi[3], ground = 0;
     if (!v) return orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir);
     for (int a = 0; a < 3; a++) {
         const double *r = f->R + 3 * a;
-        for (int i = 0; i < np; i++) v[i] = r[0] * d->points[i].xyz[0] + r[1] * d->points[i].xyz[1] + r[2] * d->points[i].xyz[2];
+        for (int i = 0; i < np; i++) v[i] = r[0] * pts->x[i][0] + r[1] * pts->x[i][1] + r[2] * pts->x[i][2];
         lo[a] = percentile(v, np, a == 2 ? 0.004 : 0.02);
         hi[a] = percentile(v, np, a == 2 ? 0.998 : 0.98);
         if (a == 2) ground = percentile(v, np, 0.01);
@@ -181,7 +228,13 @@ static orl_err place(const orl_dataset *d, int longest, frame *f)
     return ORL_OK;
 }
 
-typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; const int32_t *where; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
+
+/* A sighting of a point in reach, within the photo. */
+static int counts(const orl_photo *p, const orl_colmap_obs *o, const int32_t *where)
+{
+    return o->point >= 0 && where[o->point] >= 0 && o->x >= 0 && o->y >= 0 && o->x <= (float)p->cam.w && o->y <= (float)p->cam.h;
+}
 
 static orl_err load_one(const load_job *job, int k)
 {
@@ -191,6 +244,10 @@ static orl_err load_one(const load_job *job, int k)
     orl_image im = { 0 }, sky = { 0 };
     orl_err e = orl_photo_load(p, job->long_side, &im, &o->cam);
     if (e) return e;
+    if (im.w * im.h < 64) {
+        orl_image_free(&im);
+        return orl_fail(ORL_E_RANGE, "%s: %d x %d pixels are too few", p->path, p->cam.w, p->cam.h);
+    }
     snprintf(o->name, sizeof o->name, "%s", p->name);
     o->pose = p->pose;
     double c[3];
@@ -199,12 +256,15 @@ static orl_err load_one(const load_job *job, int k)
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             o->axes[3 * i + j] = f->R[3 * i] * p->pose.R[3 * j] + f->R[3 * i + 1] * p->pose.R[3 * j + 1] + f->R[3 * i + 2] * p->pose.R[3 * j + 2];
+    o->given_cam = o->cam;
+    memcpy(o->given_centre, o->centre, sizeof o->centre);
+    memcpy(o->given_axes, o->axes, sizeof o->axes);
     double sx = (double)im.w / p->cam.w, sy = (double)im.h / p->cam.h;
     float (*pts)[2] = malloc((p->obs_count + 1) * sizeof *pts);
     size_t n = 0;
     for (uint32_t i = 0; pts && i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
-        if (ob->point < 0) continue;
+        if (!counts(p, ob, job->where)) continue;
         pts[n][0] = (float)(ob->x * sx);
         pts[n][1] = (float)(ob->y * sy);
         n++;
@@ -231,8 +291,9 @@ static void load_range(void *user, int begin, int end)
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out)
 {
     world w = { 0 };
-    orl_err e = place(d, longest, &w.frame);
-    if (e) return e;
+    reach pts;
+    orl_err e = reach_find(d, &pts) ? place(d, &pts, longest, &w.frame) : orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir);
+    if (e) { free(pts.x); free(pts.where); return e; }
     snprintf(w.title, sizeof w.title, "%.63s", d->name);
     uint32_t *index = malloc(d->nphotos * sizeof *index);
     char (*why)[400] = calloc(d->nphotos, sizeof *why);
@@ -247,7 +308,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         double shrink = fmin(1, (double)long_side / (c->w > c->h ? c->w : c->h));
         plain += (size_t)(3 * shrink * shrink * c->w * c->h);
     }
-    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, why };
+    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, pts.where, why };
     orl_parallel(threads, w.nphotos, 1, load_range, &job);
     int kept = 0;
     for (int k = 0; k < w.nphotos; k++) {
@@ -260,21 +321,23 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_begin = w.nobs;
         for (uint32_t i = 0; i < p->obs_count; i++) {
             const orl_colmap_obs *ob = &d->obs[p->obs_begin + i];
-            if (ob->point < 0) continue;
-            w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)ob->point };
+            if (!counts(p, ob, pts.where)) continue;
+            w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)pts.where[ob->point] };
         }
         o->obs_count = w.nobs - o->obs_begin;
         w.photos[kept++] = *o;
     }
     w.nphotos = kept;
     if (kept < 2) { e = orl_fail(ORL_E_DEGENERATE, "%s: fewer than two photos load", d->dir); goto done; }
-    w.npoints = d->npoints;
+    w.npoints = (uint32_t)pts.n;
     for (uint32_t i = 0; i < d->npoints; i++) {
         double g[3];
+        if (pts.where[i] < 0) continue;
+        world_point *q = &w.points[pts.where[i]];
         frame_apply(&w.frame, d->points[i].xyz, g);
-        for (int a = 0; a < 3; a++) w.points[i].x[a] = (float)g[a];
+        for (int a = 0; a < 3; a++) q->x[a] = (float)g[a];
         float t = (float)d->points[i].track_length, r = d->points[i].error_px;
-        w.points[i].weight = (t / (t + 3.0f)) / (1.0f + r * r);
+        q->weight = (t / (t + 3.0f)) / (1.0f + r * r);
     }
     double *depth = malloc((w.nobs + 1) * sizeof *depth);
     for (int k = 0; depth && k < kept; k++) {
@@ -289,6 +352,8 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
     memset(&w, 0, sizeof w);
 done:
     world_free(&w);
+    free(pts.x);
+    free(pts.where);
     free(index);
     free(why);
     return e;

@@ -14,12 +14,16 @@ typedef struct {
     float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, fine cells: a guess until the hull is built */
 } frame;
 
+enum { WORLD_FIX = 8 };             /* correction of a pose and lens: turn, shift (camera axes; radians, fine cells), ln focal length, k1 */
+
 typedef struct {
     char name[256];
     orl_camera cam;                 /* at training size */
     orl_pose pose;
     double centre[3];               /* grid frame */
     double axes[9];                 /* grid direction = axes * camera direction (row-major rotation) */
+    orl_camera given_cam;           /* before correction, as are */
+    double given_centre[3], given_axes[9], fix[WORLD_FIX];
     float near;                     /* half the median depth of its SfM points, fine cells: what is nearer than this teaches less */
     int w, h;
     int packed;                     /* 1: blocks and a label for 2 x 2 pixels; 0: plain bytes and a label each */
@@ -51,6 +55,8 @@ void frame_apply(const frame *f, const double world[3], double grid[3]);
 float frame_ground_height(const frame *f, const float x[3]);
 /* Distance t > 0 along o + t d (unit) to the ground, from above; 0: looks over the horizon. */
 int  frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t);
+/* cam, centre and axes from what was given and fix. */
+void world_correct(world_photo *p);
 /* Unit ray of pixel (u, v) in the grid frame. */
 void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
