@@ -210,8 +210,31 @@ static void steps_without_finite_gradients_are_dropped(void **state)
     world_free(&w);
 }
 
+/* The logistic as sharp and as blunt as a float bears: losses stay finite, no step is dropped. */
+static void sharpness_has_no_limits(void **state)
+{
+    (void)state;
+    const float sigma[] = { 1e-30f, 1e-6f, 1e-2f, 1e2f, 1e6f, 1e30f };
+    for (size_t i = 0; i < sizeof sigma / sizeof *sigma; i++) {
+        world w;
+        stage1 s;
+        stage1_losses l;
+        int taken = 0;
+        make_world(&w);
+        assert_int_equal(stage1_init(&s, &w, &(stage1_options){ 64, 30, 7, 2, sigma[i] }), ORL_OK);
+        assert_int_equal(stage1_start(&s, &w, NULL), ORL_OK);
+        for (int k = 0; k < 15; k++) taken += stage1_step(&s, &l) && isfinite(l.total);
+        printf("figure sigma %g: %d of 15 steps taken, loss %.4g, mse %.4g\n", (double)sigma[i], taken, l.total, l.mse);
+        assert_int_equal(taken, 15);
+        assert_true(isfinite(stage1_sdf(&s, (float[]){ 9, 9, 9 }, NULL)));
+        stage1_free(&s);
+        world_free(&w);
+    }
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(gradients_match_finite_differences), cmocka_unit_test(steps_repeat), cmocka_unit_test(steps_without_finite_gradients_are_dropped) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(gradients_match_finite_differences), cmocka_unit_test(steps_repeat), cmocka_unit_test(steps_without_finite_gradients_are_dropped),
+                                        cmocka_unit_test(sharpness_has_no_limits) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -261,13 +261,20 @@ static orl_err load_one(const load_job *job, int k)
     memcpy(o->given_axes, o->axes, sizeof o->axes);
     double sx = (double)im.w / p->cam.w, sy = (double)im.h / p->cam.h;
     float (*pts)[2] = malloc((p->obs_count + 1) * sizeof *pts);
-    size_t n = 0;
+    size_t n = 0, behind = 0;
     for (uint32_t i = 0; pts && i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
         if (!counts(p, ob, job->where)) continue;
         pts[n][0] = (float)(ob->x * sx);
         pts[n][1] = (float)(ob->y * sy);
         n++;
+        orl_pose_apply(&p->pose, job->d->points[ob->point].xyz, c);
+        behind += c[2] <= 0;
+    }
+    if (n > 8 && 2 * behind > n) {
+        free(pts);
+        orl_image_free(&im);
+        return orl_fail(ORL_E_DEGENERATE, "%s: %zu of the %zu points that it sees lie behind its camera", p->path, behind, n);
     }
     if (job->use_masks && p->mask[0]) {
         e = orl_photo_load_mask(p, im.w, im.h, &sky);
