@@ -41,8 +41,7 @@ static void make(world *w, stage1 *s, world_photo truth[PHOTOS])
         memcpy(p->given_axes, (double[9]){ 1, 0, 0, 0, 0, 1, 0, -1, 0 }, sizeof p->given_axes);
         memcpy(p->given_centre, (double[3]){ 22 + 10 * k, 2, 18 + 5 * k }, sizeof p->given_centre);
         world_correct(p);
-        p->rgb = malloc(W * H * 3);
-        p->sky = calloc(W * H, 1);
+        static uint8_t px[W * H * 3];
         for (int y = 0; y < H; y++)
             for (int x = 0; x < W; x++) {
                 float d[3], q[3], rgb[3];
@@ -50,8 +49,9 @@ static void make(world *w, stage1 *s, world_photo truth[PHOTOS])
                 float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, slope = (0.3f * d[0] - 0.2f * d[2] - d[1]) / sqrtf(1.13f), t = -wall(o) / slope;
                 for (int a = 0; a < 3; a++) q[a] = o[a] + t * d[a];
                 paint(q, rgb);
-                for (int c = 0; c < 3; c++) p->rgb[3 * (y * W + x) + c] = (uint8_t)(255 * rgb[c] + 0.5f);
+                for (int c = 0; c < 3; c++) px[3 * (y * W + x) + c] = (uint8_t)(255 * rgb[c] + 0.5f);
             }
+        assert_int_equal(world_photo_fill(p, W, H, px, NULL, 0), ORL_OK);
         p->obs_begin = w->nobs;
         for (int i = 0; i < POINTS; i++) {
             double uv[2] = { 0, 0 };
