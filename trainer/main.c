@@ -9,6 +9,7 @@ static const struct { const char *name; int (*run)(int, char **); const char *wh
     { "sky", cmd_sky, "learn the sky decoder from panoramas and parametric skies" },
     { "eval", cmd_eval, "half-photo protocol: PSNR, SSIM, FLIP beside the baselines" },
     { "masks", cmd_masks, "sky masks, and how they agree with given ones" },
+    { "mesh", cmd_mesh, "a scene's surface as PLY" },
 };
 enum { N = sizeof COMMANDS / sizeof *COMMANDS };
 
