@@ -176,48 +176,47 @@ static int by_point_id(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-typedef struct { uint64_t id; orl_colmap_point p; } raw_point;
-static int by_raw_point(const void *a, const void *b)
+static int by_point(const void *a, const void *b)
 {
-    uint64_t x = ((const raw_point *)a)->id, y = ((const raw_point *)b)->id;
+    uint64_t x = ((const orl_colmap_point *)a)->id, y = ((const orl_colmap_point *)b)->id;
     return (x > y) - (x < y);
 }
 
-static orl_err read_points(cursor *c, raw_point **out, size_t *count)
+static orl_err read_points(cursor *c, orl_colmap_point **out, size_t *count)
 {
-    raw_point *v = NULL;
+    orl_colmap_point *v = NULL;
     size_t n = 0, cap = 0;
     uint64_t left = c->text ? UINT64_MAX : get_count(c, 8, 51, "point count");
     char *line = NULL;
     while (!c->bad && left-- && (!c->text || (line = next_line(c, 0)))) {
-        raw_point r;
+        orl_colmap_point r;
         memset(&r, 0, sizeof r);
         if (c->text) {
             r.id = strtoull(line, &line, 10);
-            for (int a = 0; a < 3; a++) r.p.xyz[a] = word_num(c, &line, "point position");
-            for (int a = 0; a < 3; a++) r.p.rgb[a] = (uint8_t)word_int(c, &line, 255, "point colour");
-            r.p.error_px = (float)word_num(c, &line, "point error");
-            for (char *e; strtol(line, &e, 10), e != line; line = e) r.p.track_length++;
-            r.p.track_length /= 2;
+            for (int a = 0; a < 3; a++) r.xyz[a] = word_num(c, &line, "point position");
+            for (int a = 0; a < 3; a++) r.rgb[a] = (uint8_t)word_int(c, &line, 255, "point colour");
+            r.error_px = (float)word_num(c, &line, "point error");
+            for (char *e; strtol(line, &e, 10), e != line; line = e) r.track_length++;
+            r.track_length /= 2;
         } else {
             r.id = get(c, 8, "point id");
-            for (int a = 0; a < 3; a++) r.p.xyz[a] = get_f64(c, "point position");
-            for (int a = 0; a < 3; a++) r.p.rgb[a] = (uint8_t)get(c, 1, "point colour");
-            r.p.error_px = (float)get_f64(c, "point error");
+            for (int a = 0; a < 3; a++) r.xyz[a] = get_f64(c, "point position");
+            for (int a = 0; a < 3; a++) r.rgb[a] = (uint8_t)get(c, 1, "point colour");
+            r.error_px = (float)get_f64(c, "point error");
             uint64_t track = get_count(c, 8, 8, "point track length");
-            r.p.track_length = (uint32_t)track;
+            r.track_length = (uint32_t)track;
             c->at += track * 8;
         }
         if (c->bad) break;
-        if (!isfinite(r.p.xyz[0]) || !isfinite(r.p.xyz[1]) || !isfinite(r.p.xyz[2])) continue;
-        if (!isfinite(r.p.error_px) || r.p.error_px < 0) r.p.error_px = 0;
-        raw_point *q = grow(v, n, &cap, sizeof *v);
+        if (!isfinite(r.xyz[0]) || !isfinite(r.xyz[1]) || !isfinite(r.xyz[2])) continue;
+        if (!isfinite(r.error_px) || r.error_px < 0) r.error_px = 0;
+        orl_colmap_point *q = grow(v, n, &cap, sizeof *v);
         if (!q) { free(v); return orl_fail(ORL_E_MEMORY, "%s: no memory", c->path); }
         v = q;
         v[n++] = r;
     }
     if (c->bad) { free(v); return cursor_error(c); }
-    if (n) qsort(v, n, sizeof *v, by_raw_point);
+    if (n) qsort(v, n, sizeof *v, by_point);
     for (size_t i = 1; i < n; i++) if (v[i].id == v[i - 1].id) { orl_err e = orl_fail(ORL_E_FORMAT, "%s: point %" PRIu64 " is there twice", c->path, v[i].id); free(v); return e; }
     *out = v;
     *count = n;
@@ -316,7 +315,7 @@ orl_err orl_colmap_read(const char *dir, warn_fn warn, void *user, orl_colmap *o
 {
     cursor cc, ci, cp;
     raw_camera *cams = NULL;
-    raw_point *pts = NULL;
+    orl_colmap_point *pts = NULL;
     point_id *ids = NULL;
     image_list l = { 0 };
     size_t ncams = 0, npts = 0;
@@ -342,7 +341,7 @@ orl_err orl_colmap_read(const char *dir, warn_fn warn, void *user, orl_colmap *o
     }
     if (!e) {
         for (size_t i = 0; i < ncams; i++) m.cameras[i] = cams[i].cam;
-        for (size_t i = 0; i < npts; i++) m.points[i] = pts[i].p;
+        for (size_t i = 0; i < npts; i++) m.points[i] = pts[i];
         m.ncameras = (uint32_t)ncams;
         m.npoints = (uint32_t)npts;
         m.images = l.im;

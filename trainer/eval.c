@@ -11,8 +11,10 @@
 #include <sys/stat.h>
 #include <unistd.h>
 #include "oriel/cpu.h"
+#include "oriel/skymask.h"
 #include "oriel/view.h"
 #include "trainer/commands.h"
+#include "trainer/world.h"
 
 enum { PIXELS = 3000, GAP = 4 };
 static const char *const NAMES[EVAL_COLUMNS] = { "fixed", "float", "row_mean", "nearest_warp", "median_warp" };
@@ -63,12 +65,12 @@ static orl_err adapt(const orl_light_model *m, const orl_sample *s, int n, orl_a
     return e;
 }
 
-static orl_err open_view(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int threads, orl_view *v, void **mem)
+static orl_err open_view(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, orl_view *v, void **mem)
 {
     size_t need = orl_view_need(cam->w, cam->h);
     *mem = block(need);
     if (!*mem) return orl_fail(ORL_E_MEMORY, "eval: no memory for a view of %d x %d", cam->w, cam->h);
-    return orl_view_build(s, cam, pose, 2, threads, *mem, need, v);
+    return orl_view_build(s, cam, pose, supersample, threads, *mem, need, v);
 }
 
 static orl_err adapt_view(const orl_scene *s, const orl_view *v, const orl_image *known, orl_adapt_result *out)
@@ -118,7 +120,7 @@ static orl_err predict_fixed(const eval_setup *s, const orl_camera *cam, const o
     orl_view v;
     void *mem = NULL;
     orl_light *light = malloc(sizeof *light);
-    orl_err e = light ? open_view(s->scene, cam, pose, s->threads, &v, &mem) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
+    orl_err e = light ? open_view(s->scene, cam, pose, 2, s->threads, &v, &mem) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
     if (!e) e = adapt_view(s->scene, &v, known, fit);
     if (!e) {
         orl_light_decode(&s->scene->light, fit->code, light);
@@ -349,8 +351,6 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
 
 /* ---- against ground truth ---- */
 
-typedef struct { double v; const char *key; int digits; } figure;
-
 static int by_value(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
@@ -390,9 +390,104 @@ static void scene_rotation(const orl_scene *s, double R[9])
         for (int k = 0; k < 3; k++) R[3 * i + k] = m[4 * i + k] / scale;
 }
 
+/* Depths at held-out SfM points against their distance, over the training photos that see them, at the observed pixel: |t - t_point| / t_point along the ray. Where nothing is
+ * met the error is 1; points outside the box are not the scene's. */
+static orl_err held_out(const orl_dataset *d, const orl_scene *s, int threads, figure out[2])
+{
+    const double *m = s->world_to_grid;
+    double *rel = malloc((d->nobs + 1) * sizeof *rel);
+    uint8_t *counted = calloc(d->npoints + 1, 1);
+    size_t n = 0, points = 0;
+    orl_err e = rel && counted ? ORL_OK : orl_fail(ORL_E_MEMORY, "eval: no memory for %u observations", d->nobs);
+    for (uint32_t i = 0; !e && i < d->nphotos; i++) {
+        const orl_photo *p = &d->photos[i];
+        orl_view v;
+        void *mem = NULL;
+        double c[3], eye[3];
+        orl_pose_centre(&p->pose, c);
+        for (int a = 0; a < 3; a++) eye[a] = m[4 * a] * c[0] + m[4 * a + 1] * c[1] + m[4 * a + 2] * c[2] + m[4 * a + 3];
+        for (uint32_t k = 0; !e && k < p->obs_count; k++) {
+            const orl_colmap_obs *o = &d->obs[p->obs_begin + k];
+            if (o->point < 0 || !world_held_out(&d->points[o->point])) continue;
+            const double *x = d->points[o->point].xyz;
+            double dist = 0;
+            int inside = o->x >= 0 && o->y >= 0 && o->x < p->cam.w && o->y < p->cam.h;
+            for (int a = 0; a < 3; a++) {
+                double q = m[4 * a] * x[0] + m[4 * a + 1] * x[1] + m[4 * a + 2] * x[2] + m[4 * a + 3];
+                inside &= q >= 0 && q <= ORL_BRICK * (double)s->nb[a];
+                dist += (q - eye[a]) * (q - eye[a]);
+            }
+            dist = sqrt(dist);
+            if (!inside || dist < 1) continue;
+            if (!mem) e = open_view(s, &p->cam, &p->pose, 1, threads, &v, &mem);
+            if (e) break;
+            size_t own = (size_t)o->y * (size_t)v.stride + (size_t)o->x;
+            rel[n] = 1;
+            if (v.cov[own] >= 128 && v.depth[own] != 65535) {
+                orl_sample q;
+                double ray[3], g[3], len = 0, from = 0, to = 0;
+                orl_view_sample(&v, (int)o->x, (int)o->y, &q);
+                orl_camera_unproject(&v.cam, o->x, o->y, ray);
+                for (int a = 0; a < 3; a++) {
+                    g[a] = v.grid_from_cam[3 * a] * ray[0] + v.grid_from_cam[3 * a + 1] * ray[1] + v.grid_from_cam[3 * a + 2] * ray[2];
+                    len += g[a] * g[a];
+                    from += q.normal[a] * q.dir[a];
+                    to += q.normal[a] * g[a];
+                }
+                double tilt = from * sqrt(len) / to;        /* from the pixel's centre to where the point was seen, on the surface's plane */
+                rel[n] = fmin(fabs(v.depth[own] / 16.0 * (tilt > 0.8 && tilt < 1.25 ? tilt : 1) - dist) / dist, 1);
+            }
+            n++;
+            points += !counted[o->point];
+            counted[o->point] = 1;
+        }
+        free(mem);
+    }
+    out[0] = (figure){ n ? median(rel, n) : 1, "sfm_heldout_median_rel", 5 };
+    out[1] = (figure){ (double)points, "sfm_heldout_points", 0 };
+    free(rel);
+    free(counted);
+    return e;
+}
+
+/* Without ground truth: share of the test photos' sky (given masks, or else segmented) that the scene covers. */
+static orl_err sky_by_masks(const orl_dataset *d, const orl_scene *s, int threads, figure *out)
+{
+    double up[3];
+    size_t sky = 0, covered = 0;
+    orl_err e = orl_skymask_up(d, up);
+    for (uint32_t i = 0; !e && i < d->nphotos; i++) {
+        const orl_photo *p = &d->photos[i];
+        orl_image photo = { 0 }, mask = { 0 };
+        orl_camera cam;
+        orl_view v;
+        void *mem = NULL;
+        if (!p->test) continue;
+        e = orl_photo_load(p, 512, &photo, &cam);
+        if (!e && p->mask[0]) {
+            e = orl_photo_load_mask(p, photo.w, photo.h, &mask);
+            for (int k = 0; !e && k < mask.w * mask.h; k++) mask.px[k] = mask.px[k] == 128 ? 255 : 0;
+        } else if (!e) {
+            e = orl_skymask_photo(d, i, &photo, &cam, up, &mask);
+        }
+        if (!e) e = open_view(s, &cam, &p->pose, 2, threads, &v, &mem);
+        for (int y = 0; !e && y < v.h; y++)
+            for (int x = 0; x < v.w; x++) {
+                int here = mask.px[(size_t)y * (size_t)v.w + (size_t)x] > ORL_SKY_SURE;
+                sky += (size_t)here;
+                covered += here && v.cov[(size_t)y * (size_t)v.stride + (size_t)x] >= 128;
+            }
+        free(mem);
+        orl_image_free(&photo);
+        orl_image_free(&mask);
+    }
+    *out = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
+    return e;
+}
+
 /* depth_median_rel: |z - truth| / truth where both see surface; normal_mean_deg there; sky_covered: share of the true sky's pixels that
  * the scene covers. All test photos together, full size. */
-static orl_err geometry(const orl_dataset *d, const orl_scene *s, int threads, figure *out)
+static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threads, figure out[3])
 {
     double R[9], angle = 0, *rel = NULL;
     size_t n = 0, cap = 0, sky = 0, covered = 0;
@@ -407,7 +502,7 @@ static orl_err geometry(const orl_dataset *d, const orl_scene *s, int threads, f
         size_t pixels = (size_t)p->cam.w * (size_t)p->cam.h;
         e = read_truth(d, p, "depth", "Y", &z);
         if (!e) e = read_truth(d, p, "normal", "RGB", &nm);
-        if (!e) e = open_view(s, &p->cam, &p->pose, threads, &v, &mem);
+        if (!e) e = open_view(s, &p->cam, &p->pose, 2, threads, &v, &mem);
         if (!e && n + pixels > cap) {
             double *more = realloc(rel, (cap = 2 * (n + pixels)) * sizeof *rel);
             if (more) rel = more;
@@ -446,6 +541,27 @@ static orl_err geometry(const orl_dataset *d, const orl_scene *s, int threads, f
         out[2] = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
     }
     free(rel);
+    return e;
+}
+
+static int has_depth(const orl_dataset *d)
+{
+    char path[2048];
+    for (uint32_t i = 0; i < d->nphotos; i++) {
+        snprintf(path, sizeof path, "%s/gt/%.*s_depth.exr", d->dir, (int)strcspn(d->photos[i].name, "."), d->photos[i].name);
+        if (d->photos[i].test && !access(path, R_OK)) return 1;
+    }
+    return 0;
+}
+
+orl_err eval_geometry(const orl_dataset *d, const orl_scene *s, const char *checkpoint, int threads, figure out[EVAL_FIGURES], int *count)
+{
+    int n = has_depth(d) ? 3 : 1;
+    orl_err e = n == 3 ? against_depth(d, s, threads, out) : sky_by_masks(d, s, threads, out);
+    if (!e) e = held_out(d, s, threads, out + n);
+    n += 2;
+    (void)checkpoint;
+    if (!e) *count = n;
     return e;
 }
 
@@ -489,7 +605,7 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
         orl_adapt_result fit;
         e = read_truth(d, p, "depth", "Y", &z);
         if (!e) e = read_truth(d, p, "albedo", "RGB", &truth);
-        if (!e) e = open_view(s, &p->cam, &p->pose, o->threads, &v, &mem);
+        if (!e) e = open_view(s, &p->cam, &p->pose, 2, o->threads, &v, &mem);
         if (!e) {
             double ab = 0, aa = 0, err = 0;
             size_t n = 0;
@@ -518,7 +634,7 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
         if (!e && true_sun(text, p, sun) && nsuns < sizeof suns / sizeof *suns) {
             e = orl_photo_load(p, o->long_side, &photo, &cam);
             if (!e) e = cut(&photo, o->full_adapt ? photo.w : photo.w / 2, &known);
-            if (!e) e = open_view(s, &cam, &p->pose, o->threads, &small, &mem2);
+            if (!e) e = open_view(s, &cam, &p->pose, 2, o->threads, &small, &mem2);
             if (!e) e = adapt_view(s, &small, &known, &fit);
             if (!e) {
                 double az = fit.code[ORL_C_SUN_AZ], el = fit.code[ORL_C_SUN_EL], dot = 0;
@@ -553,8 +669,8 @@ static orl_err kiosk(const orl_dataset *d, const orl_scene *s, const options *o,
     snprintf(path, sizeof path, "%s/kiosk/camera.txt", d->dir);
     orl_err e = light ? orl_posefile_read(path, pose, 2, &count) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
     if (!e && count < 2) e = orl_fail(ORL_E_FORMAT, "%s: no second line (the wide view)", path);
-    if (!e) e = open_view(s, &pose[0].cam, &pose[0].pose, o->threads, &near, &mem[0]);
-    if (!e) e = open_view(s, &pose[1].cam, &pose[1].pose, o->threads, &wide, &mem[1]);
+    if (!e) e = open_view(s, &pose[0].cam, &pose[0].pose, 2, o->threads, &near, &mem[0]);
+    if (!e) e = open_view(s, &pose[1].cam, &pose[1].pose, 2, o->threads, &wide, &mem[1]);
     for (int f = 0; !e && f < 10000; f++) {
         orl_image frame = { 0 }, truth = { 0 }, ours = { 0 };
         orl_adapt_result fit;
@@ -597,10 +713,10 @@ static orl_err kiosk(const orl_dataset *d, const orl_scene *s, const options *o,
 
 static orl_err against_truth(const options *o, const orl_dataset *d, const orl_scene *s)
 {
-    figure f[6];
+    figure f[EVAL_FIGURES + 3];
     int n = 0;
     orl_err e = ORL_OK;
-    if (o->geometry && !(e = geometry(d, s, o->threads, f + n))) n += 3;
+    if (o->geometry && (e = eval_geometry(d, s, o->checkpoint, o->threads, f, &n))) return e;
     if (!e && o->factors && !(e = factors(d, s, o, f + n))) n += 2;
     if (!e && o->kiosk && !(e = kiosk(d, s, o, f + n))) n += 1;
     if (e) return e;
@@ -628,7 +744,8 @@ static const char HELP[] =
     "      --long-side N     pixels, default 512\n"
     "      --full-adapt      adaptation and baselines see the whole photo (no fair figure)\n"
     "      --out DIR         writes the photo and each prediction side by side\n"
-    "      --geometry        depth, normals, sky against SCENE/gt instead\n"
+    "      --geometry        depth, normals, sky against SCENE/gt instead, SfM points held out from training, and\n"
+    "                        transients against SCENE/masks; each where the SCENE and the checkpoint have what it takes\n"
     "      --factors         base colour, sun against SCENE/gt instead\n"
     "      --kiosk           widened frames against SCENE/kiosk/gt_wide instead\n"
     "      --threads N       default: one per core\n"

@@ -2,6 +2,7 @@
 #ifndef TRAINER_EVAL_H
 #define TRAINER_EVAL_H
 #include "oriel/adapt.h"
+#include "oriel/dataset.h"
 #include "oriel/image.h"
 #include "oriel/metrics.h"
 #include "oriel/model.h"
@@ -27,4 +28,9 @@ typedef struct {
  * there first, and the cut is all that adaptation and baselines are given. known_w = cam->w lets them see everything. */
 orl_err eval_predict(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *photo, int known_w, eval_prediction *out);
 void eval_prediction_free(eval_prediction *p);
+/* Figures of `eval --geometry`: against gt/ where there is one, else the sky by its masks; SfM points held out from training; transients, where SCENE has masks and the run its checkpoint (NULL: none).
+ * depth_median_rel, normal_mean_deg, sky_covered, sfm_heldout_median_rel, sfm_heldout_points, transient_iou. */
+enum { EVAL_FIGURES = 8 };
+typedef struct { double v; const char *key; int digits; } figure;
+orl_err eval_geometry(const orl_dataset *d, const orl_scene *s, const char *checkpoint, int threads, figure out[EVAL_FIGURES], int *count);
 #endif

@@ -236,6 +236,13 @@ static int counts(const orl_photo *p, const orl_colmap_obs *o, const int32_t *wh
     return o->point >= 0 && where[o->point] >= 0 && o->x >= 0 && o->y >= 0 && o->x <= (float)p->cam.w && o->y <= (float)p->cam.h;
 }
 
+int world_held_out(const orl_colmap_point *p)
+{
+    uint64_t h = (p->id + 1) * 0x9e3779b97f4a7c15ull;
+    h = (h ^ h >> 29) * 0xbf58476d1ce4e5b9ull;
+    return (h >> 32) % 20 == 0;
+}
+
 static orl_err load_one(const load_job *job, int k)
 {
     const orl_photo *p = &job->d->photos[job->index[k]];
@@ -264,7 +271,7 @@ static orl_err load_one(const load_job *job, int k)
     size_t n = 0, behind = 0;
     for (uint32_t i = 0; pts && i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
-        if (!counts(p, ob, job->where)) continue;
+        if (!counts(p, ob, job->where) || world_held_out(&job->d->points[ob->point])) continue;
         pts[n][0] = (float)(ob->x * sx);
         pts[n][1] = (float)(ob->y * sy);
         n++;
@@ -328,7 +335,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_begin = w.nobs;
         for (uint32_t i = 0; i < p->obs_count; i++) {
             const orl_colmap_obs *ob = &d->obs[p->obs_begin + i];
-            if (!counts(p, ob, pts.where)) continue;
+            if (!counts(p, ob, pts.where) || world_held_out(&d->points[ob->point])) continue;
             w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)pts.where[ob->point] };
         }
         o->obs_count = w.nobs - o->obs_begin;

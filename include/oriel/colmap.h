@@ -14,6 +14,7 @@ typedef struct {
     uint32_t obs_begin, obs_count;                                  /* into obs */
 } orl_colmap_image;
 typedef struct {
+    uint64_t id;                                                    /* COLMAP's; not written */
     double xyz[3];
     uint8_t rgb[3];
     float error_px;                                                 /* mean reprojection error */
