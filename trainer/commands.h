@@ -6,6 +6,7 @@ int cmd_sky(int argc, char **argv);
 int cmd_eval(int argc, char **argv);
 int cmd_masks(int argc, char **argv);
 int cmd_mesh(int argc, char **argv);
+int cmd_bench(int argc, char **argv);
 
 /* A string in quotes on standard output, escaped as JSON wants it. */
 void print_json_string(const char *s);

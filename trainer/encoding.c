@@ -8,7 +8,7 @@
 
 const char *const ENC_NAME[ENC_KINDS] = { "ours", "textbook" };
 
-enum { TEXT_ENTRIES = 1 << 19, TILES = 1 << 13, OUR_LEVELS = 4, CHUNK = 256 };
+enum { TEXT_ENTRIES = 1 << 19, TILES = 1 << 13, OUR_LEVELS = 4, CHUNK = 256, AHEAD = 16, ADAM_WORDS = 64 };
 static const float OUR_CELL[OUR_LEVELS] = { 1, 2.5f, 6, 16 };
 static const uint32_t PRIME[3] = { 1, 2654435761u, 805459861u };
 
@@ -124,8 +124,11 @@ static inline __attribute__((always_inline)) void our_level(const encoding *e, i
     const enc_level *v = &e->level[l];
     const v8 *p = e->p + v->first;
     for (int s = 0; s < n; s++) {
-        our_cell *c = &keep[s];
-        our_find(v, x[s], c, hashed);
+        our_find(v, x[s], &keep[s], hashed);
+        for (int k = 0; k < 4; k++) __builtin_prefetch(&p[keep[s].i[k]]);
+    }
+    for (int s = 0; s < n; s++) {
+        const our_cell *c = &keep[s];
         *(v8 *)(out + (size_t)s * ENC_WIDTH + (size_t)(8 * l)) = c->w[0] * p[c->i[0]] + c->w[1] * p[c->i[1]] + c->w[2] * p[c->i[2]] + c->w[3] * p[c->i[3]];
     }
 }
@@ -151,9 +154,12 @@ static inline __attribute__((always_inline)) void text_level(const encoding *e, 
     const enc_level *v = &e->level[l];
     const v2 *p = (const v2 *)(e->p + v->first);
     for (int s = 0; s < n; s++) {
-        text_cell *c = &keep[s];
+        text_find(v, x[s], &keep[s], hashed);
+        for (int k = 0; k < 8; k++) __builtin_prefetch(&p[keep[s].i[k]]);
+    }
+    for (int s = 0; s < n; s++) {
+        const text_cell *c = &keep[s];
         float w[8];
-        text_find(v, x[s], c, hashed);
         weights8(c->f, w);
         v2 a = w[0] * p[c->i[0]] + w[1] * p[c->i[1]], b = w[2] * p[c->i[2]] + w[3] * p[c->i[3]];
         a += w[4] * p[c->i[4]] + w[5] * p[c->i[5]];
@@ -186,6 +192,7 @@ static void our_back(v8 *g, uint64_t *dirty, int l, int n, const our_cell *keep,
 {
     for (int s = 0; s < n; s++) {
         const our_cell *c = &keep[s];
+        if (s + AHEAD < n) for (int k = 0; k < 4; k++) __builtin_prefetch(&g[keep[s + AHEAD].i[k]], 1);
         v8 d = *(const v8 *)(dout + (size_t)s * ENC_WIDTH + (size_t)(8 * l));
         for (int k = 0; k < 4; k++) {
             g[c->i[k]] += c->w[k] * d;
@@ -198,6 +205,7 @@ static void text_back(v2 *g, uint64_t *dirty, int l, int n, const text_cell *kee
 {
     for (int s = 0; s < n; s++) {
         const text_cell *c = &keep[s];
+        if (s + AHEAD < n) for (int k = 0; k < 8; k++) __builtin_prefetch(&g[keep[s + AHEAD].i[k]], 1);
         float w[8];
         v2 d = *(const v2 *)(dout + (size_t)s * ENC_WIDTH + (size_t)(2 * l));
         weights8(c->f, w);
@@ -226,43 +234,54 @@ void enc_backward(encoding *e, int thread, int n, const void *keep, const float 
 typedef struct { encoding *e; float lr; size_t *visited; } adam_job;
 typedef int32_t i8 __attribute__((vector_size(32)));
 
-static inline v8 root(v8 x) { for (int i = 0; i < 8; i++) x[i] = sqrtf(x[i]); return x; }
+static inline v8 root(v8 x)
+{
+    float f[8] __attribute__((aligned(32)));
+    *(v8 *)f = x;
+    for (int i = 0; i < 8; i++) f[i] = sqrtf(f[i]);
+    return *(v8 *)f;
+}
 
+/* Words [begin, end) of the bits: first a list of what was touched, then the list with its memory on the way. */
 static void adam_words(void *user, int begin, int end)
 {
     adam_job *job = user;
     encoding *e = job->e;
-    int T = e->threads;
-    size_t visited = 0;
+    int T = e->threads, n = 0;
+    uint32_t list[ADAM_WORDS * 64];
     for (int w = begin; w < end; w++) {
-        uint64_t bits = 0, seen[GRID_THREADS];
-        for (int k = 0; k < T; k++) bits |= seen[k] = e->dirty[k][w];
-        if (!bits) continue;
-        for (int k = 0; k < T; k++) e->dirty[k][w] = 0;
-        visited += (size_t)__builtin_popcountll(bits);
-        for (; bits; bits &= bits - 1) {
-            int b = __builtin_ctzll(bits);
-            size_t u = (size_t)w * 64 + (size_t)b;
-            v8 d = { 0 };
-            for (int k = 0; k < T; k++) {
-                if (!(seen[k] >> b & 1)) continue;
-                d += e->g[k][u];
-                e->g[k][u] = (v8){ 0 };
-            }
-            i8 hit = d != 0;
-            v8 *mv = e->mv[u], m = 0.9f * mv[0] + 0.1f * d, v = 0.99f * mv[1] + 0.01f * d * d, step = job->lr * m / (root(v) + 1e-15f);
-            mv[0] = (v8)(((i8)m & hit) | ((i8)mv[0] & ~hit));
-            mv[1] = (v8)(((i8)v & hit) | ((i8)mv[1] & ~hit));
-            e->p[u] -= (v8)((i8)step & hit);
-        }
+        uint64_t bits = 0;
+        for (int k = 0; k < T; k++) bits |= e->dirty[k][w];
+        for (; bits; bits &= bits - 1) list[n++] = (uint32_t)w * 64 + (uint32_t)__builtin_ctzll(bits);
     }
-    __atomic_fetch_add(job->visited, visited, __ATOMIC_RELAXED);
+    for (int i = 0; i < n; i++) {
+        if (i + AHEAD < n) {
+            uint32_t u = list[i + AHEAD];
+            for (int k = 0; k < T; k++) __builtin_prefetch(&e->g[k][u], 1);
+            __builtin_prefetch(&e->mv[u], 1);
+            __builtin_prefetch(&e->p[u], 1);
+        }
+        uint32_t u = list[i];
+        v8 d = { 0 };
+        for (int k = 0; k < T; k++) {
+            if (!(e->dirty[k][u >> 6] >> (u & 63) & 1)) continue;
+            d += e->g[k][u];
+            e->g[k][u] = (v8){ 0 };
+        }
+        i8 hit = d != 0;
+        v8 *mv = e->mv[u], m = 0.9f * mv[0] + 0.1f * d, v = 0.99f * mv[1] + 0.01f * d * d, step = job->lr * m / (root(v) + 1e-15f);
+        mv[0] = (v8)(((i8)m & hit) | ((i8)mv[0] & ~hit));
+        mv[1] = (v8)(((i8)v & hit) | ((i8)mv[1] & ~hit));
+        e->p[u] -= (v8)((i8)step & hit);
+    }
+    for (int k = 0; k < T; k++) memset(&e->dirty[k][begin], 0, (size_t)(end - begin) * sizeof(uint64_t));
+    __atomic_fetch_add(job->visited, (size_t)n, __ATOMIC_RELAXED);
 }
 
 size_t enc_adam(encoding *e, float lr, int threads)
 {
     size_t visited = 0;
     adam_job job = { e, lr, &visited };
-    orl_parallel(threads, (int)(e->units / 64), 256, adam_words, &job);
+    orl_parallel(threads, (int)(e->units / 64), ADAM_WORDS, adam_words, &job);
     return visited;
 }

@@ -10,6 +10,7 @@ static const struct { const char *name; int (*run)(int, char **); const char *wh
     { "eval", cmd_eval, "half-photo protocol: PSNR, SSIM, FLIP beside the baselines" },
     { "masks", cmd_masks, "sky masks, and how they agree with given ones" },
     { "mesh", cmd_mesh, "a scene's surface as PLY" },
+    { "bench", cmd_bench, "CPU time of encodings, MLP and optimiser" },
 };
 enum { N = sizeof COMMANDS / sizeof *COMMANDS };
 

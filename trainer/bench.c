@@ -1,0 +1,190 @@
+/* `oriel-train bench`: what training is made of, in CPU time: float peak, MLP, encodings, the whole step. Ratios are of one run; rounds of the two encodings alternate,
+ * and each row is its fastest round (what disturbs a round only ever adds).
+ * Samples are those of a photo: 16 a ray, one fine cell apart, about a wavy wall in a box of 512 x 512 x 256 cells; new rays in every round. */
+#include <getopt.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include "oriel/parallel.h"
+#include "trainer/commands.h"
+#include "trainer/encoding.h"
+#include "trainer/mlp.h"
+
+enum { ROUNDS = 10, BATCH = 32768, PIECE = 1024, PER_RAY = 16, OUT = 16 };
+static const int DIMS[3] = { 512, 512, 256 };
+
+/* CPU time of all threads: other programs' share of the machine does not count. */
+static double cpu_now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static void *block(size_t bytes)
+{
+    void *p = aligned_alloc(64, (bytes + 63) & ~(size_t)63);
+    if (p) memset(p, 0, bytes);
+    return p;
+}
+
+/* What one thread works in. */
+typedef struct { float (*x)[3], *feature, *hidden, *out, *dfeature; void *keep; } desk;
+
+typedef enum { ENC_FORWARD, MLP_FORWARD, MLP_BACKWARD, ENC_BACKWARD, PHASES } phase;
+typedef struct { phase what; encoding *e; mlp *m; desk *desks; int at; } job;
+
+static void work(void *user, int begin, int end)
+{
+    job *j = user;
+    for (int t = begin; t < end; t++) {
+        desk *d = &j->desks[t];
+        switch (j->what) {
+        case ENC_FORWARD: enc_forward(j->e, PIECE, (const float (*)[3])d->x + j->at, d->feature, d->keep); break;
+        case MLP_FORWARD: mlp_forward(j->m, PIECE, d->feature, d->hidden, d->out); break;
+        case MLP_BACKWARD: mlp_backward(j->m, t, PIECE, d->feature, d->hidden, d->out, d->dfeature); break;
+        default: enc_backward(j->e, t, PIECE, d->keep, d->dfeature); break;
+        }
+    }
+}
+
+static void draw_rays(float (*x)[3], rng *r)
+{
+    for (int i = 0; i < BATCH; i += PER_RAY) {
+        float o[3] = { (float)DIMS[0] * rng_f(r), 20 * rng_f(r), 60 + 20 * rng_f(r) }, p[3] = { (float)DIMS[0] * rng_f(r), 0, 0.97f * (float)DIMS[2] * rng_f(r) }, d[3], n = 0;
+        p[1] = 300 + 60 * sinf(0.03f * p[0]) * cosf(0.05f * p[2]);
+        for (int a = 0; a < 3; a++) { d[a] = p[a] - o[a]; n += d[a] * d[a]; }
+        for (int k = 0; k < PER_RAY; k++) {
+            float t = (float)(k - PER_RAY / 2) + rng_f(r);
+            for (int a = 0; a < 3; a++) x[i + k][a] = p[a] + t * d[a] / sqrtf(n);
+        }
+    }
+}
+
+static int json, rows;
+/* seconds: CPU time a sample. rate: samples, or 10^9 float operations where gflops, a core and second. bytes a sample, 0: not stated. ratio to the row `against`, NULL: none. */
+static void print_row(const char *name, double seconds, double rate, int gflops, double bytes, double ratio, const char *against)
+{
+    if (json) {
+        printf("%s{\"name\": \"%s\", \"seconds\": %.4g, \"%s\": %.5g", rows ? ",\n " : "[", name, seconds, gflops ? "gflops" : "samples_per_core_second", rate);
+        if (bytes > 0) printf(", \"bytes\": %.0f", bytes);
+        if (against) printf(", \"ratio\": %.4f, \"against\": \"%s\"", ratio, against);
+        printf("}");
+    } else {
+        printf("%-28s %9.1f ns", name, seconds * 1e9);
+        printf(gflops ? " %9.1f GFLOP/s" : " %9.3f M/s    ", gflops ? rate : rate * 1e-6);
+        if (bytes > 0) printf(" %7.0f bytes", bytes);
+        else printf("              ");
+        if (against) printf("  %.3f of %s", ratio, against);
+        printf("\n");
+    }
+    rows++;
+}
+
+static orl_err bench(int threads)
+{
+    encoding enc[ENC_KINDS] = { 0 };
+    mlp net = { 0 };
+    desk *desks = calloc((size_t)threads, sizeof *desks);
+    double spent[ENC_KINDS][PHASES] = { { 0 } }, adam[ENC_KINDS] = { 0 }, visited[ENC_KINDS] = { 0 }, peak = 0;
+    orl_err e = desks ? mlp_init(&net, 3, (int[]){ ENC_WIDTH, MLP_WIDTH, MLP_WIDTH, OUT }, 1, 1, threads) : orl_fail(ORL_E_MEMORY, "bench: no memory");
+    for (int k = 0; !e && k < ENC_KINDS; k++) e = enc_init(&enc[k], (enc_kind)k, DIMS, 1, threads);
+    for (int t = 0; !e && t < threads; t++) {
+        size_t keep = enc[0].keep > enc[1].keep ? enc[0].keep : enc[1].keep;
+        desk *d = &desks[t];
+        *d = (desk){ block(BATCH * sizeof *d->x), block(PIECE * ENC_WIDTH * 4), block(PIECE * (size_t)net.hidden * 4), block(PIECE * OUT * 4), block(PIECE * ENC_WIDTH * 4), block(PIECE * keep) };
+        if (!d->x || !d->feature || !d->hidden || !d->out || !d->dfeature || !d->keep) e = orl_fail(ORL_E_MEMORY, "bench: no memory");
+    }
+    for (int round = -1; !e && round < ROUNDS; round++) {       /* the first one warms up */
+        for (int t = 0; t < threads; t++) {
+            rng r = rng_make(7, (uint64_t)(round + 1), (uint64_t)t);
+            draw_rays(desks[t].x, &r);
+        }
+        double p = mlp_peak(0.05);
+        peak = p > peak ? p : peak;
+        for (int k = 0; k < ENC_KINDS; k++) {
+            double sum[PHASES] = { 0 }, t0;
+            for (int at = 0; at < BATCH; at += PIECE)
+                for (int f = 0; f < PHASES; f++) {
+                    job j = { (phase)f, &enc[k], &net, desks, at };
+                    t0 = cpu_now();
+                    orl_parallel(threads, threads, 1, work, &j);
+                    sum[f] += cpu_now() - t0;
+                }
+            t0 = cpu_now();
+            double n = (double)enc_adam(&enc[k], 1e-4f, threads);
+            mlp_adam(&net, 1e-4f, 0);
+            double t1 = cpu_now() - t0;
+            if (round < 0) continue;
+            for (int f = 0; f < PHASES; f++) spent[k][f] = round && spent[k][f] < sum[f] ? spent[k][f] : sum[f];
+            adam[k] = round && adam[k] < t1 ? adam[k] : t1;
+            visited[k] += n;
+        }
+    }
+    if (!e) {
+        double n = (double)BATCH * threads, flop = 2.0 * (double)mlp_macs(&net), step[ENC_KINDS], both = 0, back = 0;
+        both = fmin(spent[0][MLP_FORWARD], spent[1][MLP_FORWARD]) / n;
+        back = fmin(spent[0][MLP_BACKWARD], spent[1][MLP_BACKWARD]) / n;
+        print_row("float peak", flop / (2 * peak), 2e-9 * peak, 1, 0, 0, NULL);
+        print_row("mlp 32-64-64-16 forward", both, 1e-9 * flop / both, 1, 0, flop / both / (2 * peak), "float peak");
+        print_row("mlp 32-64-64-16 backward", back, 2e-9 * flop / back, 1, 0, 2 * flop / back / (2 * peak), "float peak");
+        for (int k = ENC_KINDS - 1; k >= 0; k--) {
+            double bytes = k == ENC_OURS ? 4 * 4 * 32 : 16 * 8 * 8, f = spent[k][ENC_FORWARD] / n, b = spent[k][ENC_BACKWARD] / n, a = adam[k] / n;
+            double moved = visited[k] / (ROUNDS * n) * (3 + threads) * 2 * sizeof(v8);    /* parameter, two moments, each read and written; a gradient a thread */
+            step[k] = f + b + a + both + back;
+            char name[64];
+            int ref = k == ENC_TEXTBOOK;
+            const double *sr = spent[ENC_TEXTBOOK];
+            snprintf(name, sizeof name, "%s forward", ENC_NAME[k]);
+            print_row(name, f, 1 / f, 0, bytes, sr[ENC_FORWARD] / n / f, ref ? NULL : "textbook forward");
+            snprintf(name, sizeof name, "%s backward", ENC_NAME[k]);
+            print_row(name, b, 1 / b, 0, 2 * bytes, sr[ENC_BACKWARD] / n / b, ref ? NULL : "textbook backward");
+            snprintf(name, sizeof name, "%s optimiser", ENC_NAME[k]);
+            print_row(name, a, 1 / a, 0, moved, adam[ENC_TEXTBOOK] / n / a, ref ? NULL : "textbook optimiser");
+            snprintf(name, sizeof name, "%s step, no optimiser", ENC_NAME[k]);
+            print_row(name, step[k] - a, 1 / (step[k] - a), 0, 3 * bytes, (step[ENC_TEXTBOOK] - adam[ENC_TEXTBOOK] / n) / (step[k] - a), ref ? NULL : "textbook step, no optimiser");
+            snprintf(name, sizeof name, "%s step", ENC_NAME[k]);
+            print_row(name, step[k], 1 / step[k], 0, 3 * bytes + moved, step[ENC_TEXTBOOK] / step[k], ref ? NULL : "textbook step");
+        }
+        if (json) puts("]");
+    }
+    for (int t = 0; desks && t < threads; t++) {
+        desk *d = &desks[t];
+        free(d->x); free(d->feature); free(d->hidden); free(d->out); free(d->dfeature); free(d->keep);
+    }
+    free(desks);
+    for (int k = 0; k < ENC_KINDS; k++) enc_free(&enc[k]);
+    mlp_free(&net);
+    return e;
+}
+
+static const char USAGE[] =
+    "Usage: oriel-train bench [options]\n"
+    "CPU time of what training is made of: encodings, MLP, optimiser; ratios measured in this run.\n\n"
+    "      --threads N        default 1\n"
+    "      --json             an array with an object a row\n"
+    "      --help\n";
+
+int cmd_bench(int argc, char **argv)
+{
+    static const struct option LONG[] = { { "threads", 1, 0, 't' }, { "json", 0, 0, 'j' }, { "help", 0, 0, 'h' }, { 0 } };
+    int c, threads = 1;
+    while ((c = getopt_long(argc, argv, "h", LONG, NULL)) != -1) switch (c) {
+        case 't': {
+            char *end;
+            long v = strtol(optarg, &end, 10);
+            if (end == optarg || *end || v < 1 || v > GRID_THREADS) { fprintf(stderr, "oriel-train bench: --threads %s is not 1 to %d\n", optarg, GRID_THREADS); return 2; }
+            threads = (int)v;
+            break;
+        }
+        case 'j': json = 1; break;
+        case 'h': fputs(USAGE, stdout); return 0;
+        default: fputs(USAGE, stderr); return 2;
+        }
+    if (optind != argc) { fputs(USAGE, stderr); return 2; }
+    orl_err e = bench(threads);
+    if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
+    return e ? 1 : 0;
+}
