@@ -67,7 +67,7 @@ $B/obj/%.o: %.cpp
 $B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
 $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
 $B/obj/trainer/ranks_mpi.o: ISA = $(filter -I%,$(MPI_SHOW))
-$B/obj/trainer/mlp.o $B/obj/trainer/encoding.o: ISA = $(TRAIN_ARCH) -ffp-contract=fast -fno-math-errno
+$B/obj/trainer/mlp.o $B/obj/trainer/encoding.o $B/obj/trainer/nerfw.o: ISA = $(TRAIN_ARCH) -ffp-contract=fast -fno-math-errno
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
 $(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 

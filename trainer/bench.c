@@ -12,7 +12,7 @@
 #include "trainer/encoding.h"
 #include "trainer/mlp.h"
 
-enum { ROUNDS = 10, BATCH = 32768, PIECE = 1024, PER_RAY = 16, OUT = 16 };
+enum { ROUNDS = 10, BATCH = 32768, PIECE = 512, PER_RAY = 16, OUT = 16 };
 static const int DIMS[3] = { 512, 512, 256 };
 
 /* CPU time of all threads: other programs' share of the machine does not count. */

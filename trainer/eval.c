@@ -17,11 +17,11 @@
 #include "trainer/world.h"
 
 enum { PIXELS = 3000, GAP = 4 };
-static const char *const NAMES[EVAL_COLUMNS] = { "fixed", "float", "row_mean", "nearest_warp", "median_warp" };
+static const char *const NAMES[EVAL_COLUMNS] = { "fixed", "float", "nerfw", "row_mean", "nearest_warp", "median_warp" };
 
 /* ---- prediction ---- */
 
-static void *block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
+static void *aligned(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
 
 static orl_err cut(const orl_image *photo, int w, orl_image *out)
 {
@@ -58,7 +58,7 @@ static void observe(const orl_image *known, spot p, orl_sample *s)
 static orl_err adapt(const orl_light_model *m, const orl_sample *s, int n, orl_adapt_result *out)
 {
     size_t need = orl_adapt_need();
-    void *work = block(need);
+    void *work = aligned(need);
     orl_adapt_options opt = orl_adapt_defaults();
     orl_err e = work ? orl_adapt(m, s, (size_t)n, NULL, &opt, work, need, out) : orl_fail(ORL_E_MEMORY, "eval: no memory for adaptation");
     free(work);
@@ -68,7 +68,7 @@ static orl_err adapt(const orl_light_model *m, const orl_sample *s, int n, orl_a
 static orl_err open_view(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, orl_view *v, void **mem)
 {
     size_t need = orl_view_need(cam->w, cam->h);
-    *mem = block(need);
+    *mem = aligned(need);
     if (!*mem) return orl_fail(ORL_E_MEMORY, "eval: no memory for a view of %d x %d", cam->w, cam->h);
     return orl_view_build(s, cam, pose, supersample, threads, *mem, need, v);
 }
@@ -96,7 +96,7 @@ static orl_err adapt_view(const orl_scene *s, const orl_view *v, const orl_image
 static orl_err shade_view(orl_view *v, const orl_light *light, unsigned cpu, orl_image *out)
 {
     size_t need = orl_view_light_need();
-    void *mem = block(need);
+    void *mem = aligned(need);
     orl_image im = { 0 };
     orl_err e = mem ? orl_image_alloc(&im, v->w, v->h, 3) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
     if (!e) {
@@ -170,6 +170,7 @@ orl_err eval_predict(const eval_setup *s, const orl_camera *cam, const orl_pose 
     if (e) return e;
     if (s->scene) e = predict_fixed(s, cam, pose, &known, &p.adapt[EVAL_FIXED], &p.rgb[EVAL_FIXED]);
     if (!e && s->model) e = predict_float(s, cam, pose, &known, &p.adapt[EVAL_FLOAT], &p.rgb[EVAL_FLOAT]);
+    if (!e && s->nerfw) e = nerfw_predict(s->nerfw, cam, pose, &known, s->threads, p.nerfw_code, &p.rgb[EVAL_NERFW]);
     if (!e) e = baselines_row_mean(&known, cam->w, &p.rgb[EVAL_ROW_MEAN]);
     if (!e && s->base) e = baselines_warp(s->base, cam, pose, &known, &p.rgb[EVAL_NEAREST], &p.rgb[EVAL_MEDIAN]);
     orl_image_free(&known);
@@ -186,7 +187,7 @@ void eval_prediction_free(eval_prediction *p)
 /* ---- the half-photo protocol ---- */
 
 typedef struct {
-    const char *dir, *scene, *checkpoint, *out, *photo;
+    const char *dir, *scene, *checkpoint, *nerfw, *out, *photo;
     int long_side, limit, threads, json, full_adapt, baselines_only, geometry, factors, kiosk;
 } options;
 
@@ -291,13 +292,13 @@ static void add(orl_score *sum, const orl_score *s, double f)
     sum->flip += f * s->flip;
 }
 
-static orl_err half_photo(const options *o, const orl_dataset *data, const orl_scene *scene, const orl_model *model)
+static orl_err half_photo(const options *o, const orl_dataset *data, const orl_scene *scene, const orl_model *model, const nerfw *nerf)
 {
     baselines base = { 0 };
     row *rows = calloc(data->nphotos + 1u, sizeof *rows), mean = { 0 };
     int n = 0;
     orl_err e = rows ? baselines_open(data, o->long_side, &base) : orl_fail(ORL_E_MEMORY, "eval: no memory for scores");
-    eval_setup setup = { .scene = scene, .model = model, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
+    eval_setup setup = { .scene = scene, .model = model, .nerfw = nerf, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
     if (!e && o->out && mkdir(o->out, 0777) && errno != EEXIST)
         e = orl_fail(ORL_E_IO, "%s: cannot make the folder: %s", o->out, strerror(errno));
     for (uint32_t i = 0; !e && i < data->nphotos && (!o->limit || n < o->limit); i++) {
@@ -734,10 +735,11 @@ static orl_err against_truth(const options *o, const orl_dataset *d, const orl_s
 /* ---- command ---- */
 
 static const char HELP[] =
-    "usage: oriel-train eval SCENE --scene F [options]\n"
+    "usage: oriel-train eval SCENE --scene F | --nerfw G [options]\n"
     "Scores the right half of test photos, predicted from the left half.\n"
     "      --scene F         exported scene (column fixed)\n"
     "      --checkpoint F    float model (column float); default: the scene's name with .ckpt appended\n"
+    "      --nerfw G         baseline made by `fit --method nerfw` (column nerfw), beside the scene or alone\n"
     "      --baselines-only  no scene needed\n"
     "      --photo NAME      this test photo only\n"
     "      --limit N         the first N test photos\n"
@@ -788,8 +790,9 @@ int cmd_eval(int argc, char **argv)
         case THREADS: ok &= number(optarg, 1, 64, &o.threads); break;
         case JSON: o.json = 1; break;
         case HELP_ME: fputs(HELP, stdout); return 0;
-        case NERFW: case REALISM:
-            fprintf(stderr, "oriel-train eval: --%s is not built yet\n", c == NERFW ? "nerfw" : "realism");
+        case NERFW: o.nerfw = optarg; break;
+        case REALISM:
+            fprintf(stderr, "oriel-train eval: --realism is not built yet\n");
             return 2;
         default: return 2;
         }
@@ -799,14 +802,15 @@ int cmd_eval(int argc, char **argv)
     }
     o.dir = argv[optind];
     int truth = o.geometry || o.factors || o.kiosk;
-    if (!o.scene == !o.baselines_only || (truth && o.baselines_only)) {
-        fprintf(stderr, "oriel-train eval: --scene F wanted%s\n", truth ? "" : ", or else --baselines-only");
+    if (truth ? !o.scene || o.baselines_only : (o.scene || o.nerfw) == o.baselines_only) {
+        fprintf(stderr, "oriel-train eval: --scene F wanted%s\n", truth ? "" : ", or --nerfw G, or else --baselines-only");
         return 2;
     }
 
     orl_dataset data = { 0 };
     orl_scene scene = { 0 };
     orl_model *model = NULL;
+    nerfw nerf = { 0 };
     char checkpoint[4096];
     orl_err e = orl_dataset_open(o.dir, warn, NULL, &data);
     if (e) goto done;
@@ -820,10 +824,12 @@ int cmd_eval(int argc, char **argv)
         if (!o.checkpoint && access(checkpoint, R_OK)) fprintf(stderr, "%s: no checkpoint, column float left out\n", checkpoint);
         else if ((e = orl_model_load(o.checkpoint ? o.checkpoint : checkpoint, &model))) goto done;
     }
-    e = half_photo(&o, &data, o.scene ? &scene : NULL, model);
+    if (o.nerfw && (e = nerfw_load(o.nerfw, &nerf))) goto done;
+    e = half_photo(&o, &data, o.scene ? &scene : NULL, model, o.nerfw ? &nerf : NULL);
 done:
     if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
     if (model) orl_model_free(model);
+    nerfw_free(&nerf);
     orl_scene_close(&scene);
     orl_dataset_free(&data);
     return e ? 1 : 0;

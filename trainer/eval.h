@@ -8,12 +8,14 @@
 #include "oriel/model.h"
 #include "oriel/scene.h"
 #include "trainer/baselines.h"
+#include "trainer/nerfw.h"
 
-enum { EVAL_FIXED, EVAL_FLOAT, EVAL_ROW_MEAN, EVAL_NEAREST, EVAL_MEDIAN, EVAL_COLUMNS };
+enum { EVAL_FIXED, EVAL_FLOAT, EVAL_NERFW, EVAL_ROW_MEAN, EVAL_NEAREST, EVAL_MEDIAN, EVAL_COLUMNS };
 
 typedef struct {
     const orl_scene *scene;         /* NULL: no column `fixed` */
     const orl_model *model;         /* NULL: no column `float` */
+    const nerfw *nerfw;             /* NULL: no column `nerfw` */
     baselines *base;                /* NULL: no warps */
     unsigned cpu;
     int threads;
@@ -22,6 +24,7 @@ typedef struct {
 typedef struct {
     orl_image rgb[EVAL_COLUMNS];            /* px NULL where the column is left out */
     orl_adapt_result adapt[EVAL_FLOAT + 1]; /* of `fixed` and `float` */
+    float nerfw_code[NERFW_CODE];           /* of `nerfw` */
 } eval_prediction;
 
 /* Predicts the whole picture of a view (cam->w x cam->h, the photo's size) from the photo's columns [0, known_w): the photo is cut

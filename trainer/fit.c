@@ -11,6 +11,7 @@
 #include "oriel/sky.h"
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
+#include "trainer/nerfw.h"
 #include "trainer/ranks.h"
 #include "trainer/refine.h"
 
@@ -37,6 +38,9 @@ static const char USAGE[] =
     "      --long-side N      pixels along a photo's longer side, 64 to 8192, instead of the preset's\n"
     "      --checkpoint-seconds S  between two checkpoints, default 30\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
+    "      --method NAME      oriel (default), or nerfw: the NeRF-W baseline, for eval --nerfw; it does not resume\n"
+    "      --encoding NAME    of --method nerfw: ours (default) or textbook\n"
+    "      --snapshots LIST   of --method nerfw: minutes of training, as 1,2,4,8, at which FILE.1m, FILE.2m, ... are written\n"
     "      --no-masks         do not read given masks (sky is segmented by the program)\n"
     "      --refine-poses on|off   correct poses and lenses along with the scene, default off\n"
     "      --seed N           default 1; runs repeat for the same seed and number of threads (of all ranks)\n"
@@ -91,7 +95,9 @@ static void progress(double start, double done, const char *text)
 typedef struct {
     char output[900], ckpt[1000];
     const char *sky;
-    int resume, stage2, use_masks, json, refine;
+    int resume, stage2, use_masks, json, nerfw, refine;
+    enc_kind encoding;
+    double snapshot[16];            /* minutes, rising; 0 ends */
     double budget, checkpoint_seconds;
     checkpoint_header head;
 } fit_options;
@@ -310,6 +316,55 @@ done:
     return e;
 }
 
+/* The baseline. Its clock is training alone: neither loading nor writing counts. With a budget the schedule follows the clock, else the steps. */
+static orl_err fit_nerfw(const fit_options *o, const orl_dataset *d)
+{
+    const checkpoint_header *h = &o->head;
+    world w = { 0 };
+    nerfw n = { 0 };
+    nerfw_losses mean = { 0 };
+    double samples = 0, spent = 0, spent_cpu = 0, start = 0;
+    int next = 0;
+    orl_err e = world_load(d, h->long_side, h->longest, o->use_masks, h->threads, &w);
+    if (!e) e = nerfw_init(&n, &w, &(nerfw_options){ o->encoding, h->rays, h->threads, h->seed });
+    if (!e) fprintf(stderr, "%s: %d photos, box %d x %d x %d cells, encoding %s\n", d->name, w.nphotos, w.frame.dims[0], w.frame.dims[1], w.frame.dims[2], ENC_NAME[o->encoding]);
+    start = now();
+    while (!e) {
+        double t = now(), cpu = cpu_now(), done = o->budget > 0 ? spent / (60 * o->budget) : (double)n.step / h->steps;
+        if (done >= 1) break;
+        nerfw_losses l;
+        nerfw_step(&n, (float)done, &l);
+        spent += now() - t;
+        spent_cpu += cpu_now() - cpu;
+        samples += l.samples;
+        double k = n.step < 50 ? 1.0 / n.step : 0.02;
+        for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
+        char text[1000];
+        snprintf(text, sizeof text, "nerfw  step %d  PSNR %.2f  sky %.3f  transient %.3f  distortion %.4f  %.2f M samples a core and second", n.step, -10 * log10(mean.mse + 1e-9), mean.sky, mean.transient,
+                 mean.distortion, 1e-6 * samples / spent_cpu);
+        progress(start, done, text);
+        if (next < 16 && o->snapshot[next] > 0 && spent >= 60 * o->snapshot[next]) {
+            snprintf(text, sizeof text, "%s.%gm", o->output, o->snapshot[next++]);
+            e = nerfw_save(&n, text);
+        }
+    }
+    if (!e) e = nerfw_save(&n, o->output);
+    if (!e) {
+        struct rusage u;
+        getrusage(RUSAGE_SELF, &u);
+        fprintf(stderr, "%s: %d steps, %.1f minutes, peak memory %.2f GB\n", o->output, n.step, spent / 60, (double)u.ru_maxrss * 1e-6);
+        if (o->json) {
+            printf("{\"scene\": ");
+            print_json_string(d->name);
+            printf(", \"method\": \"nerfw\", \"encoding\": \"%s\", \"steps\": %d, \"seconds\": %.1f, \"cpu_seconds\": %.1f, \"samples_per_core_second\": %.0f, \"peak_bytes\": %.0f}\n", ENC_NAME[o->encoding], n.step, spent,
+                   spent_cpu, samples / (spent_cpu > 0 ? spent_cpu : 1), (double)u.ru_maxrss * 1024);
+        }
+    }
+    nerfw_free(&n);
+    world_free(&w);
+    return e;
+}
+
 static int number(const char *text, double lo, double hi, double *out)
 {
     char *end;
@@ -327,12 +382,26 @@ static int whole(const char *text, int lo, int hi, int *out)
     return 1;
 }
 
+/* Rising minutes between commas. */
+static int minutes(const char *text, double out[16])
+{
+    int n = 0;
+    for (char *end; n < 15; text = end + 1) {
+        out[n] = strtod(text, &end);
+        if (end == text || !(out[n] > (n ? out[n - 1] : 0) && out[n] < 1e6)) return 0;
+        n++;
+        if (*end != ',') return !*end;
+    }
+    return 0;
+}
+
 int cmd_fit(int argc, char **argv)
 {
-    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, REFINE, SEED, THREADS, JSON };
+    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, METHOD, ENCODING, SNAPSHOTS, REFINE, SEED, THREADS, JSON };
     static const struct option LONG[] = {
         { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
-        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "refine-poses", 1, 0, REFINE }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
+        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "method", 1, 0, METHOD }, { "encoding", 1, 0, ENCODING }, { "snapshots", 1, 0, SNAPSHOTS },
+        { "refine-poses", 1, 0, REFINE }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
     fit_options o = { .use_masks = 1, .checkpoint_seconds = 30 };
     const preset *p = &PRESETS[2];
@@ -346,6 +415,12 @@ int cmd_fit(int argc, char **argv)
             for (size_t i = 0; i < sizeof PRESETS / sizeof *PRESETS; i++) if (!strcmp(PRESETS[i].name, optarg)) p = &PRESETS[i];
             if (!p) { fprintf(stderr, "oriel-train fit: --preset %s: demo, quick, standard or full\n", optarg); return 2; }
             break;
+        case METHOD: ok = (o.nerfw = !strcmp(optarg, "nerfw")) || !strcmp(optarg, "oriel"); break;
+        case ENCODING:
+            ok = 0;
+            for (int k = 0; k < ENC_KINDS; k++) if (!strcmp(optarg, ENC_NAME[k])) { o.encoding = (enc_kind)k; ok = 1; }
+            break;
+        case SNAPSHOTS: ok = minutes(optarg, o.snapshot); break;
         case RESUME: o.resume = 1; break;
         case STAGE2: o.stage2 = 1; break;
         case BUDGET: ok = number(optarg, 0, 1e6, &o.budget); break;
@@ -366,6 +441,8 @@ int cmd_fit(int argc, char **argv)
         if (!ok) { fprintf(stderr, "oriel-train fit: %s is out of range (oriel-train fit --help tells more)\n", optarg); return 2; }
     }
     if (optind + 1 != argc || !o.output[0]) { fputs(USAGE, stderr); return 2; }
+    if (o.nerfw && (o.resume || o.stage2)) { fprintf(stderr, "oriel-train fit: --method nerfw neither resumes nor has a stage 2\n"); return 2; }
+    if (!o.nerfw && (o.encoding || o.snapshot[0] > 0)) { fprintf(stderr, "oriel-train fit: --encoding and --snapshots go with --method nerfw\n"); return 2; }
     snprintf(o.ckpt, sizeof o.ckpt, "%s.ckpt", o.output);
     o.head = (checkpoint_header){ .long_side = long_side ? long_side : p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .seed = (uint64_t)seed };
     ranks_start();
@@ -374,7 +451,7 @@ int cmd_fit(int argc, char **argv)
     orl_dataset d;
     orl_err e = orl_dataset_open(argv[optind], warn_line, NULL, &d);
     if (!e) {
-        e = fit(&o, &d);
+        e = o.nerfw ? fit_nerfw(&o, &d) : fit(&o, &d);
         orl_dataset_free(&d);
     }
     if (e && ranks_mine()) sleep(2);            /* what fails on every rank is told by rank 0, which ends the others meanwhile */

@@ -84,15 +84,6 @@ static void gbuffer_rows(void *user, int begin, int end)
 void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, int threads, orl_sample *out, float *depth)
 {
     gbuffer_job j = { .m = m, .out = out, .depth = depth };
-    const frame *f = &m->surf.f;
-    double c[3];
-    j.cam.cam = *cam;
-    j.cam.w = cam->w;
-    j.cam.h = cam->h;
-    orl_pose_centre(pose, c);
-    frame_apply(f, c, j.cam.centre);
-    for (int a = 0; a < 3; a++)
-        for (int b = 0; b < 3; b++)
-            j.cam.axes[3 * a + b] = f->R[3 * a] * pose->R[3 * b] + f->R[3 * a + 1] * pose->R[3 * b + 1] + f->R[3 * a + 2] * pose->R[3 * b + 2];
+    frame_view(&m->surf.f, cam, pose, &j.cam);
     orl_parallel(threads, cam->h, 4, gbuffer_rows, &j);
 }

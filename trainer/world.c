@@ -30,6 +30,20 @@ void world_correct(world_photo *p)
     p->cam.k1 += f[7];
 }
 
+void frame_view(const frame *f, const orl_camera *cam, const orl_pose *pose, world_photo *out)
+{
+    double c[3];
+    memset(out, 0, sizeof *out);
+    out->cam = *cam;
+    out->w = cam->w;
+    out->h = cam->h;
+    out->pose = *pose;
+    orl_pose_centre(pose, c);
+    frame_apply(f, c, out->centre);
+    for (int a = 0; a < 3; a++)
+        for (int b = 0; b < 3; b++) out->axes[3 * a + b] = f->R[3 * a] * pose->R[3 * b] + f->R[3 * a + 1] * pose->R[3 * b + 1] + f->R[3 * a + 2] * pose->R[3 * b + 2];
+}
+
 void world_ray(const world_photo *p, double u, double v, float dir[3])
 {
     double c[3];
@@ -249,26 +263,22 @@ static orl_err load_one(const load_job *job, int k)
     world_photo *o = &job->w->photos[k];
     const frame *f = &job->w->frame;
     orl_image im = { 0 }, sky = { 0 };
-    orl_err e = orl_photo_load(p, job->long_side, &im, &o->cam);
+    orl_camera cam;
+    orl_err e = orl_photo_load(p, job->long_side, &im, &cam);
     if (e) return e;
     if (im.w * im.h < 64) {
         orl_image_free(&im);
         return orl_fail(ORL_E_RANGE, "%s: %d x %d pixels are too few", p->path, p->cam.w, p->cam.h);
     }
-    snprintf(o->name, sizeof o->name, "%s", p->name);
-    o->pose = p->pose;
-    double c[3];
-    orl_pose_centre(&p->pose, c);
-    frame_apply(f, c, o->centre);
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++)
-            o->axes[3 * i + j] = f->R[3 * i] * p->pose.R[3 * j] + f->R[3 * i + 1] * p->pose.R[3 * j + 1] + f->R[3 * i + 2] * p->pose.R[3 * j + 2];
+    frame_view(f, &cam, &p->pose, o);
     o->given_cam = o->cam;
     memcpy(o->given_centre, o->centre, sizeof o->centre);
     memcpy(o->given_axes, o->axes, sizeof o->axes);
+    snprintf(o->name, sizeof o->name, "%s", p->name);
     double sx = (double)im.w / p->cam.w, sy = (double)im.h / p->cam.h;
     float (*pts)[2] = malloc((p->obs_count + 1) * sizeof *pts);
     size_t n = 0, behind = 0;
+    double c[3];
     for (uint32_t i = 0; pts && i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
         if (!counts(p, ob, job->where) || world_held_out(&job->d->points[ob->point])) continue;

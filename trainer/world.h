@@ -59,6 +59,8 @@ float frame_ground_height(const frame *f, const float x[3]);
 int  frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t);
 /* cam, centre and axes from what was given and fix. */
 void world_correct(world_photo *p);
+/* Camera of a view in the grid frame: cam, w, h, centre and axes are set, all else is 0. */
+void frame_view(const frame *f, const orl_camera *cam, const orl_pose *pose, world_photo *out);
 /* Unit ray of pixel (u, v) in the grid frame. */
 void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
