@@ -110,11 +110,11 @@ static inline __attribute__((always_inline)) void our_find(const enc_level *v, c
     locate(v, x, i, f);
     const uint32_t *px = v->axis[0] + i[0], *py = v->axis[1] + i[1], *pz = v->axis[2] + i[2];
     uint32_t x0 = px[0], x1 = px[1], y0 = py[0], y1 = py[1], z0 = pz[0], z1 = pz[1];
-    int xy = f[0] >= f[1], yz = f[1] >= f[2], xz = f[0] >= f[2];
+    int xy = f[0] >= f[1], yz = f[1] >= f[2], xz = f[0] >= f[2], yx = !xy, zy = !yz, zx = !xz;
     float top = fmaxf(fmaxf(f[0], f[1]), f[2]), low = fminf(fminf(f[0], f[1]), f[2]), mid = f[0] + f[1] + f[2] - top - low;
     c->i[0] = join(x0, y0, z0, hashed, v->mask);
-    c->i[1] = join(xy & xz ? x1 : x0, (!xy) & yz ? y1 : y0, (!xz) & !yz ? z1 : z0, hashed, v->mask);
-    c->i[2] = join((!xy) & !xz ? x0 : x1, xy & !yz ? y0 : y1, xz & yz ? z0 : z1, hashed, v->mask);
+    c->i[1] = join((xy & xz) ? x1 : x0, (yx & yz) ? y1 : y0, (zx & zy) ? z1 : z0, hashed, v->mask);
+    c->i[2] = join((yx & zx) ? x0 : x1, (xy & zy) ? y0 : y1, (xz & yz) ? z0 : z1, hashed, v->mask);
     c->i[3] = join(x1, y1, z1, hashed, v->mask);
     c->w[0] = 1 - top; c->w[1] = top - mid; c->w[2] = mid - low; c->w[3] = low;
 }

@@ -33,8 +33,19 @@ struct nerfw_desk {
     float *feature, *base_hidden, *base, *colour_in, *colour_hidden, *colour, *trans_in, *trans_hidden, *trans, *sky_in, *sky_hidden, *sky;
     float *dfeature, *dbase, *dcolour_in, *dcolour, *dtrans_in, *dtrans, *dsky_in, *dsky;
     void *keep, *block;
+    struct { uint32_t cell; float sigma; } *seen;   /* of this step's samples, for the density grid */
+    int nseen;
     nerfw_losses loss;
 };
+
+static void desk_free(nerfw_desk *d)
+{
+    if (!d) return;
+    free(d->block);
+    free(d->keep);
+    free(d->seen);
+    free(d);
+}
 
 static nerfw_desk *desk_make(const nerfw *n)
 {
@@ -49,18 +60,11 @@ static nerfw_desk *desk_make(const nerfw *n)
     for (int i = 0; i < N; i++) sum += want[i];
     float *p = d->block = aligned_alloc(64, rows * sum * sizeof *p);
     d->keep = aligned_alloc(64, (rows * n->enc.keep + 63) & ~(size_t)63);
-    if (!p || !d->keep) { free(d->block); free(d->keep); free(d); return NULL; }
+    d->seen = malloc(((size_t)n->opt.rays / (size_t)(n->opt.threads ? n->opt.threads : 1) + 1) * SAMPLES * sizeof *d->seen);
+    if (!p || !d->keep || !d->seen) { desk_free(d); return NULL; }
     memset(p, 0, rows * sum * sizeof *p);
     for (int i = 0; i < N; i++) { *at[i] = p; p += rows * want[i]; }
     return d;
-}
-
-static void desk_free(nerfw_desk *d)
-{
-    if (!d) return;
-    free(d->block);
-    free(d->keep);
-    free(d);
 }
 
 static int longest(const frame *f)
@@ -144,7 +148,7 @@ static float softplus(float x) { return x > 15 ? x : log1pf(expf(x)); }
 
 /* ---- rays ---- */
 
-static float density_at(const nerfw *n, const float x[3])
+static size_t cell_of(const nerfw *n, const float x[3])
 {
     int i[3];
     for (int a = 0; a < 3; a++) {
@@ -152,7 +156,7 @@ static float density_at(const nerfw *n, const float x[3])
         i[a] = q > 0 ? q < (float)n->gn[a] ? (int)q : n->gn[a] - 1 : 0;
         if (i[a] >= n->gn[a]) i[a] = n->gn[a] - 1;
     }
-    return n->density[((size_t)i[2] * (size_t)n->gn[1] + (size_t)i[1]) * (size_t)n->gn[0] + (size_t)i[0]];
+    return ((size_t)i[2] * (size_t)n->gn[1] + (size_t)i[1]) * (size_t)n->gn[0] + (size_t)i[0];
 }
 
 /* Cuts the ray into `count` intervals; rows from r->first on. g NULL: samples at the middles. */
@@ -169,7 +173,8 @@ static void ray_sample(const nerfw *n, nerfw_desk *d, ray *r, int count, rng *g)
     for (int k = 0; k < K; k++) {
         float t = t0 + ((float)k + 0.5f) * step, x[3];
         for (int a = 0; a < 3; a++) x[a] = r->o[a] + t * r->d[a];
-        float a = trans > 1e-3f ? 1 - expf(-0.5f * density_at(n, x) * step) : 0;    /* half the depth: the grid's error must not hide what is behind */
+        float depth = trans > 1e-3f ? 0.5f * n->density[cell_of(n, x)] * step : 0;  /* half of it: the grid's error must not hide what is behind */
+        float a = depth > 0.02f ? 1 - expf(-depth) : depth - 0.5f * depth * depth;
         w[k] = trans * a;
         trans *= 1 - a;
     }
@@ -403,6 +408,10 @@ static void train_chunk(nerfw *n, int thread, int rays, float progress, rng *g)
         rows += r->n;
     }
     density_rows(n, d, rows);
+    for (int i = 0; i < rows; i++) {
+        d->seen[d->nseen].cell = (uint32_t)cell_of(n, d->x[i]);
+        d->seen[d->nseen++].sigma = d->sigma[i];
+    }
     int heads = head_rows(n, d, rays, NULL, with_transient), all = padded(rows), hall = padded(heads);
     for (int k = rays; k < RAYS; k++) memset(d->sky_in + (size_t)k * HEAD, 0, HEAD * sizeof(float));
     colours(n, d, heads);
@@ -456,6 +465,7 @@ static void step_range(void *user, int begin, int end)
         rng r = rng_make(n->opt.seed, (uint64_t)n->step, (uint64_t)t);
         int rays = (int)((int64_t)n->opt.rays * (t + 1) / T - (int64_t)n->opt.rays * t / T);
         memset(&n->desk[t]->loss, 0, sizeof n->desk[t]->loss);
+        n->desk[t]->nseen = 0;
         for (int i = 0; i < rays; i += RAYS) train_chunk(n, t, rays - i < RAYS ? rays - i : RAYS, job->progress, &r);
     }
 }
@@ -471,7 +481,19 @@ void nerfw_gradients(nerfw *n, float progress, nerfw_losses *out)
     out->mse *= inv; out->sky *= inv; out->transient *= inv; out->distortion *= inv;
 }
 
-/* Density grid: UPDATE cells a step, in an order that visits all; a random point of each. Thread t takes the t-th part, each cell has one writer. */
+/* Density grid, first part: what the step's samples saw, thread after thread; up quickly, down slowly. */
+static void update_seen(nerfw *n)
+{
+    for (int t = 0; t < n->opt.threads; t++) {
+        const nerfw_desk *d = n->desk[t];
+        for (int i = 0; i < d->nseen; i++) {
+            float *c = &n->density[d->seen[i].cell], more = d->seen[i].sigma - *c;
+            if (isfinite(more)) *c += (more > 0 ? 0.2f : 0.03f) * more;
+        }
+    }
+}
+
+/* Second part, for cells where no sample goes: UPDATE cells a step, in an order that visits all; a random point of each. Thread t takes the t-th part, each cell has one writer. */
 static void update_range(void *user, int begin, int end)
 {
     nerfw *n = ((step_job *)user)->n;
@@ -510,6 +532,7 @@ void nerfw_step(nerfw *n, float progress, nerfw_losses *out)
     if (progress > 0.05f) mlp_adam(&n->transient, 2e-3f * lr * warm, 0);
     mlp_adam(&n->sky, 2e-3f * lr * warm, 0);
     grid_adam(&n->codes, 5e-3f * lr * warm, T);
+    update_seen(n);
     orl_parallel(T, T, 1, update_range, &job);
     n->step++;
 }
