@@ -12,7 +12,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 
-enum { SAMPLES = 24, VIEW_SAMPLES = 48, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 8192 };
+enum { SAMPLES = 24, VIEW_SAMPLES = 48, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 2048 };
 #define BETA_MIN 0.06f
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_TRANSIENT 0.012f
@@ -20,6 +20,7 @@ enum { SAMPLES = 24, VIEW_SAMPLES = 48, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, M
 #define LAMBDA_CODE 1e-4f
 #define UNIFORM 0.15f               /* share of samples that ignores the density grid */
 #define PRIOR 1e-4f                 /* pull of a new photo's code to the training photos', a standard deviation off against the robust squared error */
+#define DENSEST 1000.0f
 #define END 1e-3f                   /* static transmittance behind which nothing is looked at */
 
 typedef struct {
@@ -144,7 +145,8 @@ static inline v8 exp8(v8 x)
     return (v8)((i8)p + (__builtin_convertvector(k, i8) << 23));
 }
 static inline v8 sigmoid8(v8 x) { return 1.0f / (1.0f + exp8(-x)); }
-static float softplus(float x) { return x > 15 ? x : log1pf(expf(x)); }
+/* 1 - exp(-depth); most samples are in thin air, where two terms do. */
+static inline float opacity(float depth) { return depth > 0.02f ? 1 - expf(-depth) : depth - 0.5f * depth * depth; }
 
 /* ---- rays ---- */
 
@@ -159,8 +161,8 @@ static size_t cell_of(const nerfw *n, const float x[3])
     return ((size_t)i[2] * (size_t)n->gn[1] + (size_t)i[1]) * (size_t)n->gn[0] + (size_t)i[0];
 }
 
-/* Cuts the ray into `count` intervals; rows from r->first on. g NULL: samples at the middles. */
-static void ray_sample(const nerfw *n, nerfw_desk *d, ray *r, int count, rng *g)
+/* Cuts the ray into `count` intervals, uniform / (1 + uniform) of them without regard to the density grid; rows from r->first on. g NULL: samples at the middles. */
+static void ray_sample(const nerfw *n, nerfw_desk *d, ray *r, int count, float uniform, rng *g)
 {
     float t0, t1, *w = d->march + 1;
     r->n = 0;
@@ -174,14 +176,14 @@ static void ray_sample(const nerfw *n, nerfw_desk *d, ray *r, int count, rng *g)
         float t = t0 + ((float)k + 0.5f) * step, x[3];
         for (int a = 0; a < 3; a++) x[a] = r->o[a] + t * r->d[a];
         float depth = trans > 1e-3f ? 0.5f * n->density[cell_of(n, x)] * step : 0;  /* half of it: the grid's error must not hide what is behind */
-        float a = depth > 0.02f ? 1 - expf(-depth) : depth - 0.5f * depth * depth;
+        float a = opacity(depth);
         w[k] = trans * a;
         trans *= 1 - a;
     }
     w[-1] = w[K] = 0;
     for (int k = 0; k < K; k++) {
         float here = w[k];
-        w[k] = 0.25f * prev + 0.5f * here + 0.25f * w[k + 1] + UNIFORM / (float)K;
+        w[k] = 0.25f * prev + 0.5f * here + 0.25f * w[k + 1] + uniform / (float)K;
         prev = here;
         sum += w[k];
     }
@@ -225,9 +227,9 @@ static void density_rows(const nerfw *n, nerfw_desk *d, int rows)
     for (int i = 0; i < all; i += 8) {
         v8 raw;
         for (int j = 0; j < 8; j++) raw[j] = d->base[(size_t)(i + j) * OUT] + bias;
-        i8 low = raw < 7.0f;
-        raw = (v8)((low & (i8)raw) | (~low & (i8)((v8){ 0 } + 7.0f)));
-        *(v8u *)&d->sigma[i] = exp8(raw);
+        v8 sigma = exp8(raw), most = (v8){ 0 } + DENSEST;
+        i8 low = sigma < most;
+        *(v8u *)&d->sigma[i] = (v8)((low & (i8)sigma) | (~low & (i8)most));
     }
 }
 
@@ -285,7 +287,7 @@ static void pick_ray(const nerfw *n, ray *r, rng *g)
     world_ray(p, r->px + 0.5, r->py + 0.5, r->d);
 }
 
-/* Loss of one ray and its gradients into the desk's rows. Rows of the heads hold sigmoids by now; trans rows are (log density, r, g, b, beta, ...). */
+/* Loss of one ray and its gradients into the desk's rows. Rows of the heads hold colours by now, trans rows (density, r, g, b, beta, its slope). */
 static void ray_loss(nerfw *n, nerfw_desk *d, int k, int with_transient)
 {
     ray *r = &d->ray[k];
@@ -295,19 +297,18 @@ static void ray_loss(nerfw *n, nerfw_desk *d, int k, int with_transient)
     int m = r->m, label = world_label(p, r->px, r->py);
     uint8_t rgb[3];
     world_rgb(p, r->px, r->py, rgb);
-    float alpha[SAMPLES], alpha_t[SAMPLES], trans[SAMPLES], own[SAMPLES], beta_k[SAMPLES], sigma_t[SAMPLES];    /* own: static weights without transients */
-    float T = 1, Ts = 1, C[3] = { 0 }, beta = BETA_MIN, depth_t = 0, tbias = logf(0.1f * start_density(n));
+    float alpha[SAMPLES], alpha_t[SAMPLES], trans[SAMPLES], own[SAMPLES], beta_k[SAMPLES];    /* own: static weights without transients */
+    float T = 1, Ts = 1, C[3] = { 0 }, beta = BETA_MIN, depth_t = 0;
     for (int i = 0; i < m; i++) {
         size_t row = (size_t)(r->first + i), h = (size_t)(r->head + i);
         float delta = d->delta[row];
         const float *c = d->colour + h * OUT, *q = d->trans + h * OUT;
-        alpha[i] = 1 - expf(-d->sigma[row] * delta);
-        alpha_t[i] = sigma_t[i] = beta_k[i] = 0;
+        alpha[i] = opacity(d->sigma[row] * delta);
+        alpha_t[i] = beta_k[i] = 0;
         if (with_transient) {
-            sigma_t[i] = expf(fminf(q[0] + tbias, 7));
-            alpha_t[i] = 1 - expf(-sigma_t[i] * delta);
-            beta_k[i] = 0.3f * softplus(q[4]);
-            depth_t += sigma_t[i] * delta;
+            alpha_t[i] = opacity(q[0] * delta);
+            beta_k[i] = 0.3f * q[4];
+            depth_t += q[0] * delta;
         }
         trans[i] = T;
         own[i] = Ts * alpha[i];
@@ -323,11 +324,6 @@ static void ray_loss(nerfw *n, nerfw_desk *d, int k, int with_transient)
         err2 += dC[a] * dC[a];
     }
     float scale = BETA_MIN * BETA_MIN / (beta * beta), loss = err2 * scale;
-    if (!isfinite(loss) || !isfinite(depth_t)) {        /* leaves no trace but in the count */
-        L->dropped++;
-        r->m = 0;
-        return;
-    }
     float dbeta = 0, W = 1 - Ts, dW = 0;
     L->mse += err2 / 3;
     if (with_transient) {
@@ -384,15 +380,15 @@ static void ray_loss(nerfw *n, nerfw_desk *d, int k, int with_transient)
                 dq[1 + a] = near * dC[a] * trans[i] * alpha_t[i] * q[1 + a] * (1 - q[1 + a]);
             }
             float dsigma_t = delta * (trans[i] * (1 - alpha_t[i]) * vt - later + LAMBDA_TRANSIENT);
-            dq[0] = q[0] + tbias < 7 ? near * dsigma_t * sigma_t[i] : 0;
-            dq[4] = near * dbeta * trans[i] * alpha_t[i] * 0.3f / (1 + expf(-q[4]));
+            dq[0] = q[0] < DENSEST ? near * dsigma_t * q[0] : 0;
+            dq[4] = near * dbeta * trans[i] * alpha_t[i] * 0.3f * q[5];
         }
         /* own_i = Ts_i alpha_i: the static transmittance before i is own_i / alpha_i */
         float before = alpha[i] > 1e-12f ? own[i] / alpha[i] : 0;
         dsigma += delta * (before * (1 - alpha[i]) * dd[i] - later_own);
         later_own += own[i] * dd[i];
         later += trans[i] * (alpha[i] * v + alpha_t[i] * vt);
-        d->dbase[row * OUT] = d->sigma[row] < 1096.0f ? near * dsigma * d->sigma[row] : 0;
+        d->dbase[row * OUT] = d->sigma[row] < DENSEST ? near * dsigma * d->sigma[row] : 0;
     }
 }
 
@@ -400,11 +396,12 @@ static void train_chunk(nerfw *n, int thread, int rays, float progress, rng *g)
 {
     nerfw_desk *d = n->desk[thread];
     int rows = 0, with_transient = progress > 0.05f;
+    float uniform = UNIFORM + expf(-10 * progress);     /* at first the density grid knows nothing */
     for (int k = 0; k < rays; k++) {
         ray *r = &d->ray[k];
         pick_ray(n, r, g);
         r->first = rows;
-        ray_sample(n, d, r, SAMPLES, g);
+        ray_sample(n, d, r, SAMPLES, uniform, g);
         rows += r->n;
     }
     density_rows(n, d, rows);
@@ -416,10 +413,14 @@ static void train_chunk(nerfw *n, int thread, int rays, float progress, rng *g)
     for (int k = rays; k < RAYS; k++) memset(d->sky_in + (size_t)k * HEAD, 0, HEAD * sizeof(float));
     colours(n, d, heads);
     if (with_transient) {
+        float tbias = logf(0.1f * start_density(n));
         mlp_forward(&n->transient, hall, d->trans_in, d->trans_hidden, d->trans);
         for (int i = 0; i < heads; i++) {
             float *q = d->trans + (size_t)i * OUT;
             v8 s = sigmoid8(*(v8 *)q);
+            q[0] = fminf(expf(q[0] + tbias), DENSEST);
+            q[4] = q[4] > 15 ? q[4] : -logf(1 - s[4]);          /* softplus */
+            q[5] = s[4];
             for (int a = 1; a < 4; a++) q[a] = s[a];
         }
     }
@@ -706,7 +707,7 @@ static void set_fill(fit_set *f, const nerfw *n, nerfw_desk *d, const world_phot
             view_ray(view, x + 0.5, y + 0.5, r);
             for (int a = 0; a < 3; a++) f->target[b + k][a] = (float)known->px[((size_t)y * (size_t)known->w + (size_t)x) * 3 + (size_t)a] / 255;
             r->first = rows;
-            ray_sample(n, d, r, VIEW_SAMPLES, NULL);
+            ray_sample(n, d, r, VIEW_SAMPLES, UNIFORM, NULL);
             rows += r->n;
         }
         density_rows(n, d, rows);
@@ -819,7 +820,7 @@ static void render_range(void *user, int begin, int end)
             for (int k = 0; k < rays; k++) {
                 view_ray(job->view, (b + k) % w + 0.5, (b + k) / w + 0.5, &d->ray[k]);
                 d->ray[k].first = rows;
-                ray_sample(job->n, d, &d->ray[k], VIEW_SAMPLES, NULL);
+                ray_sample(job->n, d, &d->ray[k], VIEW_SAMPLES, UNIFORM, NULL);
                 rows += d->ray[k].n;
             }
             density_rows(job->n, d, rows);

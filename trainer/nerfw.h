@@ -12,7 +12,7 @@ enum { NERFW_CODE = 16, NERFW_CELLS = 128 };    /* density grid: cells along the
 typedef struct { enc_kind encoding; int rays, threads; uint64_t seed; } nerfw_options;
 
 /* Means over a step's rays. total: the very function that is differentiated, summed. */
-typedef struct { double mse, sky, transient, distortion, samples, dropped, total; } nerfw_losses;
+typedef struct { double mse, sky, transient, distortion, samples, total; } nerfw_losses;
 
 typedef struct nerfw_desk nerfw_desk;
 

@@ -230,15 +230,29 @@ cp "$place/split.tsv" "$imc/attraction.tsv"
 "$T" fit "$imc" -o "$W/imc.oriel" $size >/dev/null 2>"$W/err" || fail "IMC-PT's layout: $(tail -3 "$W/err")"
 same ref imc || fail "IMC-PT's layout: another scene"
 
+# the NeRF-W baseline: repeats, both encodings, snapshots by the clock, evaluated alone; nothing is left of a fit that fails
+nerf() { local file=$1; shift; "$T" fit "$place" --method nerfw -o "$W/$file" $size --steps 12 "$@"; }
+nerf a.nerfw --json >"$W/nerfw.json" 2>"$W/err" || fail "fit --method nerfw: $(tail -3 "$W/err")"
+json "$W/nerfw.json" seconds cpu_seconds samples_per_core_second peak_bytes
+nerf b.nerfw 2>"$W/err" && cmp -s "$W/a.nerfw" "$W/b.nerfw" || fail "the same baseline twice: other bytes"
+nerf t.nerfw --encoding textbook --snapshots 0.0005,1000 2>"$W/err" || fail "fit --encoding textbook: $(tail -3 "$W/err")"
+[ -s "$W/t.nerfw.0.0005m" ] && ! [ -e "$W/t.nerfw.1000m" ] || fail "snapshots: $(ls "$W"/t.nerfw*)"
+"$T" eval "$place" --nerfw "$W/t.nerfw" --limit 1 --json >"$W/nerfw.json" 2>"$W/err" || fail "eval --nerfw alone: $(cat "$W/err")"
+json "$W/nerfw.json" mean.nerfw.psnr mean.median_warp.psnr
+expect 1 'ref.oriel: not a NeRF-W model' "$T" eval "$place" --nerfw "$W/ref.oriel"
+expect 2 '--snapshots' "$T" fit "$place" -o "$W/x.oriel" --snapshots 1
+expect 2 'out of range' "$T" fit "$place" -o "$W/x.oriel" --method nerfw --snapshots 2,1
+expect 2 'neither resumes' "$T" fit "$place" -o "$W/x.oriel" --method nerfw --resume
+
 # eval: all columns; the same figures from either layout
-"$T" eval "$place" --scene "$W/ref.oriel" --json --out "$W/sheets" >"$W/eval.json" 2>"$W/err" || fail "eval: $(cat "$W/err")"
+"$T" eval "$place" --scene "$W/ref.oriel" --nerfw "$W/a.nerfw" --json --out "$W/sheets" >"$W/eval.json" 2>"$W/err" || fail "eval: $(cat "$W/err")"
 keys=(protocol photos.0.name photos.1.name)
-for column in fixed float row_mean nearest_warp median_warp; do
+for column in fixed float nerfw row_mean nearest_warp median_warp; do
     for figure in psnr ssim flip; do keys+=("mean.$column.$figure" "mean_full.$column.$figure" "photos.0.$column.$figure"); done
 done
 json "$W/eval.json" "${keys[@]}"
 cp "$place"/photos/test_* "$imc/dense/images"
-"$T" eval "$imc" --scene "$W/imc.oriel" --json >"$W/imc.json" 2>"$W/err" || fail "eval of IMC-PT's layout: $(cat "$W/err")"
+"$T" eval "$imc" --scene "$W/imc.oriel" --nerfw "$W/a.nerfw" --json >"$W/imc.json" 2>"$W/err" || fail "eval of IMC-PT's layout: $(cat "$W/err")"
 cmp -s "$W/eval.json" "$W/imc.json" || fail "eval of IMC-PT's layout: $(cat "$W/imc.json")"
 "$T" eval "$place" --scene "$W/ref.oriel" --geometry --json >"$W/geometry.json" 2>"$W/err" || fail "eval --geometry: $(cat "$W/err")"
 json "$W/geometry.json" depth_median_rel normal_mean_deg sky_covered
@@ -256,13 +270,13 @@ if command -v oiiotool >/dev/null; then
         half=$((w / 2))
         case $copy in plain) box= ;; right) box="--fill:color=1,0,0.7 $((w - half))x$h+$half+0" ;; left) box="--fill:color=1,0,0.7 10x$h+$((half - 10))+0" ;; esac
         oiiotool "$place/photos/test_000.jpg" $box -o "$W/$copy/photos/test_000.png" 2>"$W/err" || fail "oiiotool: $(cat "$W/err")"
-        "$T" eval "$W/$copy" --scene "$W/ref.oriel" --photo test_000.png --out "$W/$copy/sheets" >"$W/out" 2>"$W/err" || fail "eval: $(cat "$W/err")"
+        "$T" eval "$W/$copy" --scene "$W/ref.oriel" --nerfw "$W/a.nerfw" --photo test_000.png --out "$W/$copy/sheets" >"$W/out" 2>"$W/err" || fail "eval: $(cat "$W/err")"
         diff() { oiiotool "$W/plain/sheets/test_000.png" --cut "$1" "$W/$copy/sheets/test_000.png" --cut "$1" --diff 2>&1 | grep -oE 'PASS|FAILURE'; }
         if [ $copy = right ]; then
             [ "$(diff "${w}x$h+0+0")" = FAILURE ] || fail "eval's sheet does not show the photo"
-            [ "$(diff "$((5 * (w + 4) - 4))x$h+$((w + 4))+0")" = PASS ] || fail "eval saw the right half"
+            [ "$(diff "$((6 * (w + 4) - 4))x$h+$((w + 4))+0")" = PASS ] || fail "eval saw the right half"
         elif [ $copy = left ]; then
-            for column in 1 2 3 4 5; do         # fixed, float, row_mean, nearest_warp, median_warp
+            for column in 1 2 3 4 5 6; do       # fixed, float, nerfw, row_mean, nearest_warp, median_warp
                 [ "$(diff "${w}x$h+$((column * (w + 4)))+0")" = FAILURE ] || fail "column $column of eval did not see the left half"
             done
         fi
