@@ -56,7 +56,7 @@ static void model(const char *dir, int n, const char *const *names, const char *
     orl_colmap m = { cam, (uint32_t)n, im, (uint32_t)n, obs, 0, pt, (uint32_t)points };
     memset(im, 0, sizeof im);
     memset(pt, 0, sizeof pt);
-    for (int k = 0; k < points; k++) pt[k] = (orl_colmap_point){ { k, 1, 2 }, { (uint8_t)k, 7, 9 }, 0.5f, 0 };
+    for (int k = 0; k < points; k++) pt[k] = (orl_colmap_point){ .xyz = { k, 1, 2 }, .rgb = { (uint8_t)k, 7, 9 }, .error_px = 0.5f };
     for (int k = 0; k < n; k++) {
         ok(orl_camera_from_params(&cam[k], ORL_CAM_PINHOLE, W, H, (double[4]){ 40 + k, 41 + k, W / 2.0, H / 2.0 }, 4));
         snprintf(im[k].name, sizeof im[k].name, "%s", names[k]);

@@ -6,15 +6,15 @@
 
 static const nerfw_options OPT = { ENC_OURS, 64, 2, 7 };
 
-typedef struct { const char *name; float *p, *g[2]; size_t n; float h; } block;
+typedef struct { const char *name; float *p, *g[2]; size_t n; float h; } params;
 enum { BLOCKS = 6 };
-static void blocks(nerfw *n, block b[BLOCKS])
+static void all_params(nerfw *n, params b[BLOCKS])
 {
     mlp *m[4] = { &n->base, &n->colour, &n->transient, &n->sky };
     static const char *const NAME[4] = { "base", "colour", "transient", "sky" };
-    for (int k = 0; k < 4; k++) b[k] = (block){ NAME[k], m[k]->p, { m[k]->g[0], m[k]->g[1] }, m[k]->size, 1e-3f };
-    b[4] = (block){ "codes", n->codes.p, { n->codes.g[0], n->codes.g[1] }, n->codes.nverts * 32, 3e-3f };
-    b[5] = (block){ "encoding", (float *)n->enc.p, { (float *)n->enc.g[0], (float *)n->enc.g[1] }, n->enc.units * 8, 3e-3f };
+    for (int k = 0; k < 4; k++) b[k] = (params){ NAME[k], m[k]->p, { m[k]->g[0], m[k]->g[1] }, m[k]->size, 1e-3f };
+    b[4] = (params){ "codes", n->codes.p, { n->codes.g[0], n->codes.g[1] }, n->codes.nverts * 32, 3e-3f };
+    b[5] = (params){ "encoding", (float *)n->enc.p, { (float *)n->enc.g[0], (float *)n->enc.g[1] }, n->enc.units * 8, 3e-3f };
 }
 
 static double total(nerfw *n)
@@ -32,7 +32,7 @@ static void gradients_match_finite_differences(void **state)
     for (int kind = 0; kind < ENC_KINDS; kind++) {
         world w;
         nerfw n;
-        block b[BLOCKS];
+        params b[BLOCKS];
         int bad = 0;
         make_world(&w);
         nerfw_options o = OPT;
@@ -41,7 +41,7 @@ static void gradients_match_finite_differences(void **state)
         n.heuristics = 0;
         rng r = rng_make(3, 0, 0);
         for (size_t i = 0; i < n.enc.units * 8; i++) ((float *)n.enc.p)[i] = 0.5f * rng_normal(&r);
-        blocks(&n, b);
+        all_params(&n, b);
         for (size_t i = 0; i < b[4].n; i++) b[4].p[i] = 0.5f * rng_normal(&r);
         total(&n);
         for (int k = 0; k < BLOCKS; k++) {
@@ -117,7 +117,7 @@ static void degenerate_worlds_stay_finite(void **state)
         for (int k = 0; k < 2; k++) {
             world_photo *p = &w.photos[k];
             if (what < 2) memset(p->rgb, what ? 255 : 0, (size_t)(p->w * p->h * 3));
-            if (what == 2) memset(p->sky, 255, (size_t)(p->w * p->h));
+            for (int i = 0; what == 2 && i < p->w * p->h; i++) world_set_label(p, i % p->w, i / p->w, WORLD_SKY);
             if (what == 3) p->centre[1] = -1e7;
             if (what == 4) p->centre[1] = 1e3;
         }

@@ -532,7 +532,8 @@ void nerfw_step(nerfw *n, float progress, nerfw_losses *out)
     mlp_adam(&n->colour, 2e-3f * lr * warm, 0);
     if (progress > 0.05f) mlp_adam(&n->transient, 2e-3f * lr * warm, 0);
     mlp_adam(&n->sky, 2e-3f * lr * warm, 0);
-    grid_adam(&n->codes, 5e-3f * lr * warm, T);
+    if (grid_sum(&n->codes, T)) grid_adam(&n->codes, 5e-3f * lr * warm, T);
+    else grid_drop(&n->codes);
     update_seen(n);
     orl_parallel(T, T, 1, update_range, &job);
     n->step++;
