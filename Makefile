@@ -34,7 +34,7 @@ KERNELS := $(wildcard runtime/kernels/*.c)
 NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c)
 LIB := $(wildcard formats/*.c) $(filter-out runtime/main.c runtime/cmd_%.c,$(wildcard runtime/*.c)) $(filter-out $(NOT),$(KERNELS))
 APP := $(wildcard runtime/main.c runtime/cmd_*.c)
-MPI ?= $(if $(SAN),,$(shell command -v mpicc))
+MPI ?= $(if $(SAN)$(filter-out host,$(BOARD)),,$(shell command -v mpicc))
 MPI_SHOW := $(if $(MPI),$(shell mpicc -show))
 MPI_LIBS := $(if $(MPI),-Wl$(,)--as-needed $(filter -L% -l%,$(MPI_SHOW)))
 TRAIN := $(filter-out trainer/main.c $(if $(MPI),trainer/ranks.c,trainer/ranks_mpi.c),$(wildcard trainer/*.c)) $(wildcard trainer/*.cpp)
@@ -57,7 +57,7 @@ $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
 	$(CXX) $(LINK) -o $@ $^ -lcmocka -lOpenImageIO -lOpenImageIO_Util $(LIBS) $(MPI_LIBS)
 $B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a) $B/liboriel.a
 	@mkdir -p $(@D)
-	$(CXX) $(LINK) -o $@ $^ $(if $(filter host,$(BOARD)),-Wl$(,)--as-needed -lOpenImageIO -lOpenImageIO_Util) $(LIBS) $(MPI_LIBS)
+	$(if $(filter host,$(BOARD)),$(CXX) $(LINK) -Wl$(,)--as-needed -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(MPI_LIBS),$(CC) $(LINK) -o $@ $^) $(LIBS)
 $B/obj/%.o: %.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<

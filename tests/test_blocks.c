@@ -179,6 +179,7 @@ static void trimmed_grids_train_on(void **state)
                 grid_find(&g[k], (float[3]){ 64 * rng_f(&r), 64 * rng_f(&r), 64 * rng_f(&r) }, &c);
                 grid_vector_back(&g[k], i & 1, &c, 1, (v8[1]){ { rng_f(&r) - 0.5f, 1, -1, rng_f(&r) } });
             }
+            assert_true(grid_sum(&g[k], 2));
             grid_adam(&g[k], 0.1f, 2);
             if (k) grid_trim(&g[k]);
         }
