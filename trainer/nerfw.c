@@ -12,7 +12,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 
-enum { SAMPLES = 24, VIEW_SAMPLES = 48, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 2048 };
+enum { SAMPLES = 24, VIEW_SAMPLES = 32, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 2048 };
 #define BETA_MIN 0.06f
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_TRANSIENT 0.012f
@@ -527,11 +527,11 @@ void nerfw_step(nerfw *n, float progress, nerfw_losses *out)
     int T = n->opt.threads;
     nerfw_gradients(n, progress, out);
     float lr = expf(logf(0.03f) * progress), warm = fminf(1, (float)(n->step + 1) / 50);
-    enc_adam(&n->enc, 1e-2f * lr * warm, T);
-    mlp_adam(&n->base, 2e-3f * lr * warm, 0);
-    mlp_adam(&n->colour, 2e-3f * lr * warm, 0);
-    if (progress > 0.05f) mlp_adam(&n->transient, 2e-3f * lr * warm, 0);
-    mlp_adam(&n->sky, 2e-3f * lr * warm, 0);
+    enc_adam(&n->enc, 2e-2f * lr * warm, T);
+    mlp_adam(&n->base, 4e-3f * lr * warm, 0);
+    mlp_adam(&n->colour, 4e-3f * lr * warm, 0);
+    if (progress > 0.05f) mlp_adam(&n->transient, 4e-3f * lr * warm, 0);
+    mlp_adam(&n->sky, 4e-3f * lr * warm, 0);
     if (grid_sum(&n->codes, T)) grid_adam(&n->codes, 5e-3f * lr * warm, T);
     else grid_drop(&n->codes);
     update_seen(n);
