@@ -3,6 +3,7 @@
 #   make demo         procedural attraction -> fit -> widened photo beside the truth (build/demo)
 #   make test         everything that CI runs; `make test SAN=1` under ASan and UBSan
 #   make bench        run time against error, kernels against memcpy
+#   make curves       PSNR against CPU minutes beside the NeRF-W baseline (hours; goes on where it was stopped); SCENES="FOLDER..."
 #   make deps         Debian packages by name (nothing when all are there)
 #   make BOARD=rpi4   the runtime for aarch64 (boards/*.mk); also rpi5
 #   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native  MPI= (without MPI, though mpicc is there)
@@ -82,8 +83,11 @@ demo: deps
 	@tests/demo.sh $B
 bench: tests
 	@tests/bench.sh $B
+SCENES ?= ../shared/data/basilica ../shared/data/reichstag
+curves: all
+	@tests/curves.sh $B $(SCENES)
 clean:
 	rm -rf build
-.PHONY: all tests deps test demo bench clean
+.PHONY: all tests deps test demo bench curves clean
 .SECONDARY:
 -include $(shell find $B/obj -name '*.d' 2>/dev/null)

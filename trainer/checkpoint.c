@@ -3,6 +3,7 @@
 #include "trainer/checkpoint.h"
 #include <errno.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 #include "oriel/image.h"
@@ -65,7 +66,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     FILE *f = fopen(tmp, "w+b");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
     checkpoint_header head = *h;
-    memcpy(head.magic, "ORLCKPT3", 8);
+    memcpy(head.magic, "ORLCKPT4", 8);
     orl_err e = fwrite(&head, sizeof head, 1, f) == 1 ? ORL_OK : ORL_E_IO;
     if (!e && h->phase == 0) e = stereo_work_save(p->maps, f);
     if (!e && h->phase == 1) e = stereo_save(p->st, f);
@@ -79,6 +80,15 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     if (!e && rename(tmp, path)) e = orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     if (e) unlink(tmp);
     return e;
+}
+
+void checkpoint_note(checkpoint_header *h, const log_row *row)
+{
+    if (h->logged == LOG_ROWS) {
+        h->logged = LOG_ROWS / 2;
+        for (int i = 0; i < h->logged; i++) h->log[i] = h->log[2 * i + 1];
+    }
+    h->log[h->logged++] = *row;
 }
 
 static uint32_t hash(uint32_t h, const void *bytes, size_t n)   /* FNV-1a */
@@ -108,6 +118,9 @@ static int within(const checkpoint_header *h)
         { h->pixels, 1, 1 << 24 }, { h->rounds, 1, 100000 }, { h->threads, 1, GRID_THREADS }, { h->nphotos, 2, 1000000 }, { h->dropped, 0, INT32_MAX },
     };
     for (size_t i = 0; i < sizeof range / sizeof *range; i++) if (range[i].value < range[i].lo || range[i].value > range[i].hi) return 0;
+    if (h->logged < 0 || h->logged > LOG_ROWS) return 0;
+    for (int i = 0; i < h->logged; i++)
+        for (size_t k = 0; k < sizeof(log_row) / sizeof(float); k++) if (!isfinite(((const float *)&h->log[i])[k])) return 0;
     return isfinite(h->seconds) && isfinite(h->cpu_seconds) && isfinite(h->samples);
 }
 
@@ -116,7 +129,7 @@ orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
     FILE *f = fopen(path, "rb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     checkpoint_header head;
-    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT3", 8) || !within(&head)) {
+    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT4", 8) || !within(&head)) {
         fclose(f);
         return orl_fail(ORL_E_FORMAT, "%s: not a checkpoint of this version", path);
     }
@@ -128,4 +141,32 @@ orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
     *h = head;
     *out = f;
     return ORL_OK;
+}
+
+orl_err finished_open(const char *path, const orl_dataset *d, int threads, finished_run *r)
+{
+    FILE *f = NULL;
+    memset(r, 0, sizeof *r);
+    orl_err e = checkpoint_peek(path, &r->head, &f);
+    if (e) return e;
+    const checkpoint_header *h = &r->head;
+    if (h->phase != 3) e = orl_fail(ORL_E_FORMAT, "%s: training has not finished (go on with fit --resume)", path);
+    if (!e) e = world_load(d, h->long_side, h->longest, 1, threads, &r->w);
+    if (!e && (h->nphotos != r->w.nphotos || (h->place && h->place != checkpoint_place(&r->w)))) e = orl_fail(ORL_E_FORMAT, "%s: made from other photos or cameras than those of %s", path, d->dir);
+    if (!e) e = surface_load(&r->surf, f, path);
+    if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, NULL, NULL, &(stage2_options){ 0 });
+    if (!e && !(r->s2.codes = calloc((size_t)r->w.nphotos, sizeof *r->s2.codes))) e = orl_fail(ORL_E_MEMORY, "%s: no memory for codes", path);
+    if (!e) e = stage2_load(&r->s2, f, 0, path);
+    if (!e) e = checkpoint_load_sky(&r->w, f, path);
+    fclose(f);
+    if (e) finished_close(r);
+    return e;
+}
+
+void finished_close(finished_run *r)
+{
+    stage2_free(&r->s2);
+    surface_free(&r->surf);
+    world_free(&r->w);
+    memset(r, 0, sizeof *r);
 }

@@ -7,6 +7,8 @@ int cmd_eval(int argc, char **argv);
 int cmd_masks(int argc, char **argv);
 int cmd_mesh(int argc, char **argv);
 int cmd_bench(int argc, char **argv);
+int cmd_report(int argc, char **argv);
+int cmd_plot(int argc, char **argv);
 
 /* A string in quotes on standard output, escaped as JSON wants it. */
 void print_json_string(const char *s);

@@ -14,10 +14,11 @@
 #include "oriel/skymask.h"
 #include "oriel/view.h"
 #include "trainer/commands.h"
-#include "trainer/world.h"
+#include "trainer/checkpoint.h"
+#include "trainer/transient.h"
 
 enum { PIXELS = 3000, GAP = 4 };
-static const char *const NAMES[EVAL_COLUMNS] = { "fixed", "float", "nerfw", "row_mean", "nearest_warp", "median_warp" };
+const char *const EVAL_NAMES[EVAL_COLUMNS] = { "fixed", "float", "nerfw", "row_mean", "nearest_warp", "median_warp" };
 
 /* ---- prediction ---- */
 
@@ -191,11 +192,9 @@ typedef struct {
     int long_side, limit, threads, json, full_adapt, baselines_only, geometry, factors, kiosk;
 } options;
 
-typedef struct { orl_score right[EVAL_COLUMNS], full[EVAL_COLUMNS]; int has[EVAL_COLUMNS]; const char *name; } row;
-
 static void warn(void *user, const char *line) { (void)user; fprintf(stderr, "%s\n", line); }
 
-static orl_err score(const orl_image *photo, const eval_prediction *p, row *r)
+orl_err eval_score(const orl_image *photo, const eval_prediction *p, eval_row *r)
 {
     orl_imagef truth = { 0 }, test = { 0 };
     orl_err e = orl_image_to_float(photo, &truth);
@@ -241,12 +240,12 @@ static void json_scores(const orl_score *s, const int *has)
     const char *comma = "";
     for (int k = 0; k < EVAL_COLUMNS; k++) {
         if (!has[k]) continue;
-        printf("%s\"%s\": {\"psnr\": %.4f, \"ssim\": %.4f, \"flip\": %.4f}", comma, NAMES[k], s[k].psnr, s[k].ssim, s[k].flip);
+        printf("%s\"%s\": {\"psnr\": %.4f, \"ssim\": %.4f, \"flip\": %.4f}", comma, EVAL_NAMES[k], s[k].psnr, s[k].ssim, s[k].flip);
         comma = ", ";
     }
 }
 
-static void print_json(const char *scene, const options *o, const row *rows, int n, const row *mean)
+static void print_json(const char *scene, const options *o, const eval_row *rows, int n, const eval_row *mean)
 {
     printf("{\"scene\": ");
     print_json_string(scene);
@@ -278,7 +277,7 @@ static void print_head(const int *has)
 {
     printf("%-28s", "right half");
     for (int k = 0; k < EVAL_COLUMNS; k++)
-        if (has[k]) printf("  %-20s", NAMES[k]);
+        if (has[k]) printf("  %-20s", EVAL_NAMES[k]);
     printf("\n%-28s", "");
     for (int k = 0; k < EVAL_COLUMNS; k++)
         if (has[k]) printf("  %6s %6s %6s", "PSNR", "SSIM", "FLIP");
@@ -292,10 +291,22 @@ static void add(orl_score *sum, const orl_score *s, double f)
     sum->flip += f * s->flip;
 }
 
+eval_row eval_mean(const eval_row *rows, int n)
+{
+    eval_row mean = { 0 };
+    if (n) memcpy(mean.has, rows[0].has, sizeof mean.has);
+    for (int i = 0; i < n; i++)
+        for (int k = 0; k < EVAL_COLUMNS; k++) {
+            add(&mean.right[k], &rows[i].right[k], 1.0 / n);
+            add(&mean.full[k], &rows[i].full[k], 1.0 / n);
+        }
+    return mean;
+}
+
 static orl_err half_photo(const options *o, const orl_dataset *data, const orl_scene *scene, const orl_model *model, const nerfw *nerf)
 {
     baselines base = { 0 };
-    row *rows = calloc(data->nphotos + 1u, sizeof *rows), mean = { 0 };
+    eval_row *rows = calloc(data->nphotos + 1u, sizeof *rows), mean = { 0 };
     int n = 0;
     orl_err e = rows ? baselines_open(data, o->long_side, &base) : orl_fail(ORL_E_MEMORY, "eval: no memory for scores");
     eval_setup setup = { .scene = scene, .model = model, .nerfw = nerf, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
@@ -314,7 +325,7 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
         rows[n].name = p->name;
         e = eval_predict(&setup, &cam, &p->pose, &photo, o->full_adapt ? photo.w : photo.w / 2, &pred);
         if (!e) {
-            e = score(&photo, &pred, &rows[n]);
+            e = eval_score(&photo, &pred, &rows[n]);
             if (!e && o->out) e = write_sheet(o->out, p->name, &photo, &pred);
             eval_prediction_free(&pred);
         }
@@ -332,12 +343,7 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
         e = o->photo ? orl_fail(ORL_E_RANGE, "%s: no test photo %s", o->dir, o->photo)
                      : orl_fail(ORL_E_RANGE, "%s: no test photos (split.tsv names them)", o->dir);
     if (!e) {
-        memcpy(mean.has, rows[0].has, sizeof mean.has);
-        for (int i = 0; i < n; i++)
-            for (int k = 0; k < EVAL_COLUMNS; k++) {
-                add(&mean.right[k], &rows[i].right[k], 1.0 / n);
-                add(&mean.full[k], &rows[i].full[k], 1.0 / n);
-            }
+        mean = eval_mean(rows, n);
         if (o->json) {
             print_json(data->name, o, rows, n, &mean);
         } else {
@@ -545,6 +551,40 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
     return e;
 }
 
+/* Intersection over union of the transients that the run finds in its training photos and those of SCENE/masks, all photos together. Nothing if there are no masks. */
+static orl_err transients(const orl_dataset *d, const char *checkpoint, int threads, figure *out, int *n)
+{
+    finished_run run;
+    size_t both = 0, either = 0;
+    int given = 0;
+    for (uint32_t i = 0; i < d->nphotos; i++) given |= !d->photos[i].test && d->photos[i].mask[0];
+    if (!given) return ORL_OK;
+    orl_err e = finished_open(checkpoint, d, threads, &run);
+    if (e) return e;
+    uint8_t **found = calloc((size_t)run.w.nphotos, sizeof *found);
+    e = found ? transient_masks(&run.w, &run.s2, threads, found) : orl_fail(ORL_E_MEMORY, "eval: no memory for masks");
+    for (int k = 0; !e && k < run.w.nphotos; k++)
+        for (uint32_t i = 0; !e && i < d->nphotos; i++) {
+            const world_photo *p = &run.w.photos[k];
+            orl_image mask = { 0 };
+            if (strcmp(d->photos[i].name, p->name) || !d->photos[i].mask[0]) continue;
+            e = orl_photo_load_mask(&d->photos[i], p->w, p->h, &mask);
+            int W = p->w / TRANSIENT_HALF, H = p->h / TRANSIENT_HALF;
+            for (int y = 0; !e && y < H * TRANSIENT_HALF; y++)
+                for (int x = 0; x < W * TRANSIENT_HALF; x++) {
+                    int truth = mask.px[(size_t)y * (size_t)p->w + (size_t)x] == 255, here = found[k][(y / TRANSIENT_HALF) * W + x / TRANSIENT_HALF] == 255;
+                    both += (size_t)(truth && here);
+                    either += (size_t)(truth || here);
+                }
+            orl_image_free(&mask);
+        }
+    if (!e) out[(*n)++] = (figure){ either ? (double)both / (double)either : 1, "transient_iou", 4 };
+    for (int k = 0; found && k < run.w.nphotos; k++) free(found[k]);
+    free(found);
+    finished_close(&run);
+    return e;
+}
+
 static int has_depth(const orl_dataset *d)
 {
     char path[2048];
@@ -561,7 +601,7 @@ orl_err eval_geometry(const orl_dataset *d, const orl_scene *s, const char *chec
     orl_err e = n == 3 ? against_depth(d, s, threads, out) : sky_by_masks(d, s, threads, out);
     if (!e) e = held_out(d, s, threads, out + n);
     n += 2;
-    (void)checkpoint;
+    if (!e && checkpoint) e = transients(d, checkpoint, threads, out, &n);
     if (!e) *count = n;
     return e;
 }
@@ -815,15 +855,16 @@ int cmd_eval(int argc, char **argv)
     orl_err e = orl_dataset_open(o.dir, warn, NULL, &data);
     if (e) goto done;
     if (o.scene && (e = orl_scene_open(o.scene, &scene))) goto done;
+    if (o.scene && !o.checkpoint) {
+        snprintf(checkpoint, sizeof checkpoint, "%s.ckpt", o.scene);
+        if (access(checkpoint, R_OK)) fprintf(stderr, "%s: no checkpoint, what needs it is left out\n", checkpoint);
+        else o.checkpoint = checkpoint;
+    }
     if (truth) {
         e = against_truth(&o, &data, &scene);
         goto done;
     }
-    if (o.scene) {
-        snprintf(checkpoint, sizeof checkpoint, "%s.ckpt", o.scene);
-        if (!o.checkpoint && access(checkpoint, R_OK)) fprintf(stderr, "%s: no checkpoint, column float left out\n", checkpoint);
-        else if ((e = orl_model_load(o.checkpoint ? o.checkpoint : checkpoint, &model))) goto done;
-    }
+    if (o.checkpoint && (e = orl_model_load(o.checkpoint, &model))) goto done;
     if (o.nerfw && (e = nerfw_load(o.nerfw, &nerf))) goto done;
     e = half_photo(&o, &data, o.scene ? &scene : NULL, model, o.nerfw ? &nerf : NULL);
 done:

@@ -31,6 +31,12 @@ typedef struct {
  * there first, and the cut is all that adaptation and baselines are given. known_w = cam->w lets them see everything. */
 orl_err eval_predict(const eval_setup *s, const orl_camera *cam, const orl_pose *pose, const orl_image *photo, int known_w, eval_prediction *out);
 void eval_prediction_free(eval_prediction *p);
+
+/* Scores of a photo's columns on its right half and on all of it; name is the caller's. */
+typedef struct { orl_score right[EVAL_COLUMNS], full[EVAL_COLUMNS]; int has[EVAL_COLUMNS]; const char *name; } eval_row;
+extern const char *const EVAL_NAMES[EVAL_COLUMNS];
+orl_err eval_score(const orl_image *photo, const eval_prediction *p, eval_row *r);
+eval_row eval_mean(const eval_row *rows, int n);
 /* Figures of `eval --geometry`: against gt/ where there is one, else the sky by its masks; SfM points held out from training; transients, where SCENE has masks and the run its checkpoint (NULL: none).
  * depth_median_rel, normal_mean_deg, sky_covered, sfm_heldout_median_rel, sfm_heldout_points, transient_iou. */
 enum { EVAL_FIGURES = 8 };

@@ -1,4 +1,5 @@
 /* `oriel-train fit`: photos in, scene file out. Stages, checkpoints, progress. */
+#include <errno.h>
 #include <getopt.h>
 #include <math.h>
 #include <stdarg.h>
@@ -118,12 +119,28 @@ typedef struct {
     int stuck;                      /* steps dropped in a row */
 } run;
 
+static void clock_in(run *r)
+{
+    r->head.seconds = r->before + now() - r->start;
+    r->head.cpu_seconds = r->before_cpu + (cpu_now() - r->cpu0) * ranks_count();
+}
+
+/* Some 200 rows of the log a stage. */
+static void note(run *r, int step, int steps, log_row row)
+{
+    if (step % (steps / 200 + 1) && step < steps) return;
+    clock_in(r);
+    row.step = (float)step;
+    row.minutes = (float)(r->head.seconds / 60);
+    row.cpu_minutes = (float)(r->head.cpu_seconds / 60);
+    checkpoint_note(&r->head, &row);
+}
+
 static orl_err save(run *r)
 {
     if (ranks_mine()) return ORL_OK;
     checkpoint_parts p = { &r->w, r->maps, &r->st, &r->s1, &r->surf, &r->s2 };
-    r->head.seconds = r->before + now() - r->start;
-    r->head.cpu_seconds = r->before_cpu + (cpu_now() - r->cpu0) * ranks_count();
+    clock_in(r);
     orl_err e = checkpoint_save(r->o->ckpt, &r->head, &p);
     r->last_save = now();
     return e;
@@ -225,6 +242,8 @@ static orl_err run_stage1(run *r)
         snprintf(text, sizeof text, "stage 1  step %d  PSNR %.2f  sky %.3f  eikonal %.3f  points %.2f  transient %.3f  %.1f samples/ray", s->step, -10 * log10(mean.mse + 1e-9),
                  mean.sky, mean.eikonal, mean.points, mean.transient, mean.samples / r->head.rays);
         progress(t, (double)(s->step - first) / (r->head.steps - first), text);
+        note(r, s->step, r->head.steps, (log_row){ .stage = 1, .psnr = (float)(-10 * log10(mean.mse + 1e-9)), .sky = (float)mean.sky, .eikonal = (float)mean.eikonal, .points = (float)mean.points,
+                                                   .transient = (float)mean.transient });
         if ((e = save_sometimes(r))) return e;
     }
     stage1_freeze(s);
@@ -250,6 +269,7 @@ static orl_err run_stage2(run *r)
         char text[200];
         snprintf(text, sizeof text, "stage 2  round %d  PSNR %.2f  codes' rms %.3f  degenerate %d", s->round, -10 * log10(l.mse + 1e-9), l.adapt_rms, l.degenerate);
         progress(t, (double)(s->round - first) / (r->head.rounds - first), text);
+        note(r, s->round, r->head.rounds, (log_row){ .stage = 2, .psnr = (float)(-10 * log10(l.mse + 1e-9)), .codes_rms = (float)l.adapt_rms });
         if ((e = save_sometimes(r))) return e;
     }
     stage2_prior(s);
@@ -270,7 +290,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
         r.before = head->seconds;
         r.before_cpu = head->cpu_seconds;
         if (head->phase < 2 && o->stage2) { fclose(ck); return orl_fail(ORL_E_FORMAT, "%s: stage 1 has not finished", o->ckpt); }
-        if (o->stage2) { head->pixels = o->head.pixels; head->rounds = o->head.rounds; }
+        if (o->stage2) { head->pixels = o->head.pixels; head->rounds = o->head.rounds; while (head->logged && head->log[head->logged - 1].stage > 1) head->logged--; }
     }
     if ((e = world_load(d, head->long_side, head->longest, o->use_masks, head->threads, &r.w))) goto done;
     if (head->nphotos && head->nphotos != r.w.nphotos) { e = orl_fail(ORL_E_FORMAT, "%s: made from %d photos, %s has %d", o->ckpt, head->nphotos, d->dir, r.w.nphotos); goto done; }
@@ -364,11 +384,13 @@ static orl_err fit_nerfw(const fit_options *o, const orl_dataset *d)
     world_free(&w);
     return e;
 }
+static char range[80];              /* of the number that did not fit, for the message */
 
 static int number(const char *text, double lo, double hi, double *out)
 {
     char *end;
     double v = strtod(text, &end);
+    snprintf(range, sizeof range, " (%.16g to %.16g)", lo, hi);
     if (end == text || *end || !(v >= lo && v <= hi)) return 0;
     *out = v;
     return 1;
@@ -377,7 +399,10 @@ static int number(const char *text, double lo, double hi, double *out)
 static int whole(const char *text, int lo, int hi, int *out)
 {
     double v;
-    if (!number(text, lo, hi, &v) || v != floor(v)) return 0;
+    if (!number(text, lo, hi, &v) || v != floor(v)) {
+        snprintf(range, sizeof range, " (whole, %d to %d)", lo, hi);
+        return 0;
+    }
     *out = (int)v;
     return 1;
 }
@@ -395,6 +420,16 @@ static int minutes(const char *text, double out[16])
     return 0;
 }
 
+/* Whether files can be made beside the output: said before the work is done, not after. */
+static orl_err check_folder(const char *output)
+{
+    char dir[900];
+    snprintf(dir, sizeof dir, "%s", output);
+    char *slash = strrchr(dir, '/');
+    if (slash) slash[slash == dir] = 0;
+    return access(slash ? dir : ".", W_OK | X_OK) ? orl_fail(ORL_E_IO, "%s: %s", output, strerror(errno)) : ORL_OK;
+}
+
 int cmd_fit(int argc, char **argv)
 {
     enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, METHOD, ENCODING, SNAPSHOTS, REFINE, SEED, THREADS, JSON };
@@ -407,7 +442,8 @@ int cmd_fit(int argc, char **argv)
     const preset *p = &PRESETS[2];
     int c, ok = 1, steps = 0, rounds = 0, cells = 0, long_side = 0, threads = 0;
     double seed = 1;
-    while ((c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) {
+    for (int which = 0; (c = getopt_long(argc, argv, "o:h", LONG, &which)) != -1;) {
+        range[0] = 0;
         switch (c) {
         case 'o': ok = (size_t)snprintf(o.output, sizeof o.output, "%s", optarg) < sizeof o.output; break;
         case PRESET:
@@ -438,7 +474,7 @@ int cmd_fit(int argc, char **argv)
         case 'h': fputs(USAGE, stdout); return 0;
         default: fputs(USAGE, stderr); return 2;
         }
-        if (!ok) { fprintf(stderr, "oriel-train fit: %s is out of range (oriel-train fit --help tells more)\n", optarg); return 2; }
+        if (!ok) { fprintf(stderr, "oriel-train fit: --%s: %s is out of range%s (oriel-train fit --help tells more)\n", c == 'o' ? "output" : LONG[which].name, optarg, range); return 2; }
     }
     if (optind + 1 != argc || !o.output[0]) { fputs(USAGE, stderr); return 2; }
     if (o.nerfw && (o.resume || o.stage2)) { fprintf(stderr, "oriel-train fit: --method nerfw neither resumes nor has a stage 2\n"); return 2; }
@@ -449,7 +485,8 @@ int cmd_fit(int argc, char **argv)
     if (!threads) threads = orl_cores() / ranks_here() > 1 ? orl_cores() / ranks_here() : 1;
     o.head.threads = threads < GRID_THREADS ? threads : GRID_THREADS;
     orl_dataset d;
-    orl_err e = orl_dataset_open(argv[optind], warn_line, NULL, &d);
+    orl_err e = check_folder(o.output);
+    if (!e) e = orl_dataset_open(argv[optind], warn_line, NULL, &d);
     if (!e) {
         e = o.nerfw ? fit_nerfw(&o, &d) : fit(&o, &d);
         orl_dataset_free(&d);

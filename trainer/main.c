@@ -9,6 +9,8 @@ static const struct { const char *name; int (*run)(int, char **); const char *wh
     { "sky", cmd_sky, "learn the sky decoder from panoramas and parametric skies" },
     { "eval", cmd_eval, "half-photo protocol: PSNR, SSIM, FLIP beside the baselines" },
     { "masks", cmd_masks, "sky masks, and how they agree with given ones" },
+    { "report", cmd_report, "one page: curves, photos against renders, what they are made of" },
+    { "plot", cmd_plot, "a table as SVG" },
     { "mesh", cmd_mesh, "a scene's surface as PLY" },
     { "bench", cmd_bench, "CPU time of encodings, MLP and optimiser" },
 };

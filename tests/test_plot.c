@@ -1,0 +1,54 @@
+/* Plots: ticks, what is drawn and what is left out, names that markup must not see. */
+#include "tests/scratch.h"
+#include <math.h>
+#include "trainer/plot.h"
+
+static void ticks(void **state)
+{
+    (void)state;
+    const struct { double lo, hi, step, first; } want[] = { { 0, 10, 2, 0 }, { 12.3, 17.9, 1, 12 }, { -0.03, 0.04, 0.02, -0.04 }, { 990, 1010, 5, 990 } };
+    for (int i = 0; i < 4; i++) {
+        double first, step = plot_ticks(want[i].lo, want[i].hi, 6, &first);
+        assert_true(fabs(step - want[i].step) < 1e-9 * want[i].step && fabs(first - want[i].first) < 1e-9 * (1 + fabs(first)));
+    }
+}
+
+static int count(const char *s, const char *what)
+{
+    int n = 0;
+    for (; (s = strstr(s, what)); s++) n++;
+    return n;
+}
+
+static void drawing(void **state)
+{
+    (void)state;
+    const double x[] = { 0, 1, 10, NAN, 100 }, y[] = { 1, 2, 4, 3, 8 }, flat[] = { 5, 5, 5, 5, INFINITY };
+    const plot_series two[] = { { "a < \"b\" & c", x, y, 5 }, { "flat", x, flat, 5 } };
+    text t = { 0 };
+    plot_svg(&t, two, 2, &(plot_style){ .title = "<it>", .x_label = "x & y", .log_x = 1, .dots = 1, .w = 400, .h = 300 });
+    assert_false(t.failed);
+    assert_int_equal(count(t.s, "<circle"), 3 + 2);         /* x = 0 has no logarithm; NaN and infinity are no points */
+    assert_null(strstr(t.s, "nan"));
+    assert_null(strstr(t.s, "inf"));
+    assert_non_null(strstr(t.s, "a &lt; &quot;b&quot; &amp; c"));
+    assert_non_null(strstr(t.s, "&lt;it&gt;"));
+    for (int d = 1; d <= 100; d *= 10) {
+        char tick[40];
+        snprintf(tick, sizeof tick, ">%d</text>", d);
+        assert_non_null(strstr(t.s, tick));
+    }
+    text_free(&t);
+    const plot_series one = { "", x, y, 1 }, none = { "", x, y, 0 };
+    plot_svg(&t, &one, 1, &(plot_style){ .w = 400, .h = 300 });
+    plot_svg(&t, &none, 1, &(plot_style){ .w = 400, .h = 300, .log_x = 1 });
+    assert_null(strstr(t.s, "nan"));
+    assert_null(strstr(t.s, "inf"));
+    text_free(&t);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = { cmocka_unit_test(ticks), cmocka_unit_test(drawing) };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
