@@ -181,6 +181,7 @@ expect 1 'd.oriel: File too large' limited 100 "$T" fit "$place" -o "$W/limit/d.
 cmp -s "$W/ref.oriel" "$W/limit/d.oriel" && cmp -s "$W/ref.oriel.ckpt" "$W/limit/d.oriel.ckpt" || fail "the earlier scene or checkpoint has changed"
 [ "$(ls "$W/limit")" = $'d.oriel\nd.oriel.ckpt' ] || fail "left behind: $(ls "$W/limit")"
 expect 1 'nowhere/x.oriel' "$T" fit "$place" -o "$W/nowhere/x.oriel" --resume
+expect 1 'nowhere/x.oriel: No such' "$T" fit "$place" -o "$W/nowhere/x.oriel"
 if [ -e /dev/full ]; then
     "$T" masks "$place" --json >/dev/full 2>"$W/err" && fail "masks to a full disk: exit 0"
     "$T" fit --help >/dev/full 2>"$W/err" && fail "--help to a full disk: exit 0"
@@ -255,7 +256,59 @@ cp "$place"/photos/test_* "$imc/dense/images"
 "$T" eval "$imc" --scene "$W/imc.oriel" --nerfw "$W/a.nerfw" --json >"$W/imc.json" 2>"$W/err" || fail "eval of IMC-PT's layout: $(cat "$W/err")"
 cmp -s "$W/eval.json" "$W/imc.json" || fail "eval of IMC-PT's layout: $(cat "$W/imc.json")"
 "$T" eval "$place" --scene "$W/ref.oriel" --geometry --json >"$W/geometry.json" 2>"$W/err" || fail "eval --geometry: $(cat "$W/err")"
-json "$W/geometry.json" depth_median_rel normal_mean_deg sky_covered
+json "$W/geometry.json" depth_median_rel normal_mean_deg sky_covered sfm_heldout_median_rel sfm_heldout_points transient_iou
+# without ground truth or masks: what is left; a checkpoint of another place is refused
+cp -r "$place" "$W/bare"
+rm -r "$W/bare/gt" "$W/bare/masks"
+"$T" eval "$W/bare" --scene "$W/ref.oriel" --geometry --json >"$W/bare.json" 2>"$W/err" || fail "eval --geometry without gt: $(cat "$W/err")"
+json "$W/bare.json" sky_covered sfm_heldout_median_rel sfm_heldout_points
+grep -qE 'depth|transient' "$W/bare.json" && fail "figures from nowhere: $(cat "$W/bare.json")"
+[ "$(grep -o '"sfm_heldout.*' "$W/bare.json")" = "$(grep -o '"sfm_heldout[^}]*heldout_points": [0-9]*' "$W/geometry.json")}" ] || fail "held-out points: $(cat "$W/bare.json" "$W/geometry.json")"
+expect 1 'phase1: training has not finished' "$T" eval "$place" --scene "$W/ref.oriel" --checkpoint "$W/phase1" --geometry
+
+# mesh, plot, report
+"$T" mesh "$W/ref.oriel" -o "$W/mesh.ply" >"$W/out" 2>"$W/err" || fail "mesh: $(cat "$W/err")"
+head -c 400 "$W/mesh.ply" | grep -aq "^element vertex $(grep -oE '[0-9]+ vertices' "$W/out" | cut -d' ' -f1)$" || fail "mesh: $(cat "$W/out")"
+expect 1 'photo.jpg' "$T" mesh "$W/photo.jpg" -o "$W/no.ply"
+expect 1 'nowhere/m.ply' "$T" mesh "$W/ref.oriel" -o "$W/nowhere/m.ply"
+expect 2 'none, base or normal' "$T" mesh "$W/ref.oriel" -o "$W/no.ply" --colour red
+printf 'series\tminutes\tdB\na <b>\t1\t10\nc\t2\t11\na <b>\t4\t12\n' >"$W/t.tsv"
+"$T" plot "$W/t.tsv" -o "$W/t.svg" --log-x --title T 2>"$W/err" || fail "plot: $(cat "$W/err")"
+[ "$(grep -c '<circle' "$W/t.svg")" = 3 ] && grep -q 'a &lt;b&gt;' "$W/t.svg" && grep -q minutes "$W/t.svg" || fail "plot: $(cat "$W/t.svg")"
+printf 'a\t1\n' >"$W/bad.tsv"
+expect 1 'bad.tsv: line 1: three columns' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
+printf 'a\t1\t2\na\tx\t2\n' >"$W/bad.tsv"
+expect 1 'bad.tsv: line 2: x or y' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
+: >"$W/bad.tsv"
+expect 1 'bad.tsv: no point' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
+"$T" report "$place" --scene "$W/ref.oriel" -o "$W/report.html" >"$W/out" 2>"$W/err" || fail "report: $(cat "$W/err")"
+[ "$(grep -c '<article>' "$W/report.html")" = 2 ] && [ "$(grep -o '<img ' "$W/report.html" | wc -l)" = $((2 * 8 + 6)) ] && [ "$(grep -c '<svg' "$W/report.html")" = 2 ] || fail "report: $(sed 's/base64,[^"]*//g' "$W/report.html" | tail -c 600)"
+grep -qE '<script|(src|href)="https?:' "$W/report.html" && fail "the report fetches or runs something"
+grep -qiE '>-?(nan|inf)' "$W/report.html" && fail "the report shows what is no number"
+if command -v python3 >/dev/null; then
+    python3 - "$W/report.html" <<'END' || fail "report: markup"
+import base64, html.parser, re, sys
+page = open(sys.argv[1]).read()
+for code in re.findall(r'base64,([^"]*)', page): assert base64.b64decode(code, validate=True)[:2] == b'\xff\xd8'
+stack = []
+class Check(html.parser.HTMLParser):
+    def handle_starttag(self, tag, attrs):
+        if tag not in ('meta', 'img'): stack.append(tag)
+    def handle_endtag(self, tag):
+        assert stack.pop() == tag, tag
+Check().feed(page)
+assert not stack, stack
+END
+fi
+ls "$W"/*.part* "$W"/no.* >/dev/null 2>&1 && fail "left behind: $(ls "$W")"
+expect 1 'nothing: no such folder' "$T" report "$W/nothing" --scene "$W/ref.oriel" -o "$W/no.html"
+expect 2 'limit' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --limit 0
+
+# curves: one fit, made once
+grep -q . tests/curves.sh && (rm -rf build/curves/place; export CURVES_OURS="--preset demo --cells 64 --threads 2 --steps 20 --rounds 2" CURVES_ENCODINGS=
+for i in 1 2; do tests/curves.sh "$B" "$place" >"$W/curves" 2>"$W/err" || exit 1; cp build/curves/place/curves.tsv "$W/curves.$i"; done
+[ "$(wc -l <"$W/curves.1")" = 2 ] && cmp -s "$W/curves.1" "$W/curves.2" && grep -q '<svg' build/curves/place/curves.svg) || fail "curves.sh: $(cat "$W/curves" "$W/err")"
+rm -rf build/curves/place
 "$T" eval "$place" --baselines-only --limit 1 --json >"$W/base.json" 2>"$W/err" || fail "eval --baselines-only: $(cat "$W/err")"
 json "$W/base.json" mean.median_warp.psnr
 # what is scored cannot be seen: the right half painted over (in PNG: nothing bleeds), no pixel of a prediction changes; painting on the left changes them
@@ -313,7 +366,7 @@ else
 fi
 
 # usage: 2
-for c in fit eval sky masks; do
+for c in fit eval sky masks mesh plot report bench; do
     "$T" $c --help >"$W/out" 2>"$W/err" && [ ! -s "$W/err" ] && grep -qi "usage: oriel-train $c" "$W/out" || fail "$c --help"
     "$T" $c --frobnicate >"$W/out" 2>"$W/err"
     [ $? = 2 ] && [ ! -s "$W/out" ] && grep -q -- "--frobnicate" "$W/err" || fail "$c --frobnicate"
@@ -326,8 +379,9 @@ done
 expect 2 'no such command' "$T" frobnicate
 expect 2 'demo, quick, standard or full' "$T" fit "$place" -o "$W/x.oriel" --preset huge
 for o in "--steps 1.5" "--rounds x" "--cells 63" "--seed -1" "--time-budget nan"; do
-    expect 2 "${o#* } is out of range" "$T" fit "$place" -o "$W/x.oriel" $o
+    expect 2 "${o%% *}: ${o#* } is out of range" "$T" fit "$place" -o "$W/x.oriel" $o
 done
+expect 2 '--checkpoint-seconds: x is out of range (0 to' "$T" fit "$place" -o "$W/x.oriel" --checkpoint x
 expect 2 'scene' "$T" eval "$place"
 expect 2 'range' "$T" eval "$place" --scene "$W/ref.oriel" --limit x
 "$T" >"$W/out" 2>"$W/err"
