@@ -77,6 +77,8 @@ static void steps_repeat_and_learn(void **state)
     (void)state;
     world w;
     make_world(&w);
+    for (int k = 0; k < 2; k++)                /* what can be learnt: ramps, of two lights */
+        for (int q = 0; q < 24 * 24 * 3; q++) w.photos[k].rgb[q] = (uint8_t)(30 + 3 * (q / 72) + 40 * (q % 3) + 30 * k);
     for (int kind = 0; kind < ENC_KINDS; kind++) {
         uint8_t *bytes[2];
         size_t size[2];
@@ -93,7 +95,8 @@ static void steps_repeat_and_learn(void **state)
                 if (i >= 55) last += l.mse;
                 assert_true(isfinite(l.total));
             }
-            assert_true(last < first);
+            print_message("figure %s: mse %.3f in the first steps, %.3f in the last\n", ENC_NAME[kind], first / 5, last / 5);
+            assert_true(last < 0.5 * first);
             ok(nerfw_save(&n, at("%d", run)));
             nerfw_free(&n);
             ok(orl_file_read(at("%d", run), (size_t)1 << 30, &bytes[run], &size[run]));
