@@ -88,7 +88,9 @@ static int ground_hit(const orl_scene *s, const double o[3], const double d[3], 
 {
     const float *g = s->ground;
     double over = o[2] - (g[0] + g[1] * o[0] + g[2] * o[1]), fall = g[1] * d[0] + g[2] * d[1] - d[2];
-    if (!s->ground_albedo || !(over > 0) || !(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
+    double eye = ORL_GROUND_EYE * 8 * s->nb[0];
+    over = over > eye ? over : eye;
+    if (!s->ground_albedo || !(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
     double t = over / fall;
     int at[2];
     for (int a = 0; a < 2; a++) {

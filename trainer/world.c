@@ -87,8 +87,8 @@ float frame_ground_height(const frame *f, const float x[3]) { return f->ground[0
 int frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t)
 {
     float over = o[2] - frame_ground_height(f, o), fall = d[2] - f->ground[1] * d[0] - f->ground[2] * d[1];
-    if (!(over > 0) || !(fall < -ORL_GROUND_FALL)) return 0;
-    *t = over / -fall;
+    if (!(fall < -ORL_GROUND_FALL)) return 0;
+    *t = fmaxf(over, ORL_GROUND_EYE * (float)f->dims[0]) / -fall;
     return *t < ORL_GROUND_FAR;
 }
 

@@ -12,6 +12,7 @@
 enum { ORL_GROUND_SIDE = 96 };
 #define ORL_GROUND_FALL 1e-3f   /* least slope at which a ray falls on the ground */
 #define ORL_GROUND_FAR 1e5f     /* cells */
+#define ORL_GROUND_EYE 0.015f   /* least height of an eye over the ground, of the box's side along x: land is not as flat as a plane, and nobody's eye is under it */
 enum { ORL_BRICK = 8, ORL_BRICK_V = 9, ORL_BRICK_VERTS = 729, ORL_LITE_V = 3, ORL_LITE_VERTS = 27, ORL_LITE_BYTES = 17 };
 #define ORL_SDF_UNIT 32         /* sdf int8 is in 1/32 cell, saturating: -4 .. +3.97 cells; positive = free space */
 
@@ -26,7 +27,7 @@ typedef struct {
     const uint8_t *lite;            /* [nbricks][27][17]: openness (v / 255), then 16 horizon elevations (v / 255 * pi / 2) at vertices 4 cells apart; NULL: open = 1, horizon = 0 */
     const int8_t *shadow;           /* [nbricks][27][8]: phi_k = v * shadow_scale[k] at the same vertices; NULL: no shadow branch */
     float shadow_scale[ORL_SHADOW_DIM];     /* powers of two */
-    float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, cells: what rays that meet no brick fall on, seen from above */
+    float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, cells: what rays that meet no brick fall on */
     const uint8_t *ground_albedo;   /* [96][96][3], y outer: linear albedo = (v / 255)^2 over [-8 nb, 16 nb] along x and y, edges go on; NULL: no ground */
     orl_light_model light;          /* decoded from int16 with power-of-two scales */
     uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
