@@ -343,6 +343,7 @@ static orl_err fit_nerfw(const fit_options *o, const orl_dataset *d)
     world w = { 0 };
     nerfw n = { 0 };
     nerfw_losses mean = { 0 };
+    if (ranks_count() > 1) return orl_fail(ORL_E_UNSUPPORTED, "%s: --method nerfw runs on one rank, not on %d", o->output, ranks_count());
     double samples = 0, spent = 0, spent_cpu = 0, start = 0;
     int next = 0;
     orl_err e = world_load(d, h->long_side, h->longest, o->use_masks, h->threads, &w);

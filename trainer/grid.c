@@ -13,10 +13,13 @@ static void *map_zero(size_t bytes)
     return p == MAP_FAILED ? NULL : p;
 }
 
-static uint32_t *axis_table(int n, uint32_t inner, uint32_t tile_step)
+/* Tiles of 4^3 vertices lie in pages of 4 x 2 x 2, one of memory where a vertex is one float: a surface that crosses its longer side at right angles costs as little as the other ways. */
+static const int PAGE[3] = { 4, 2, 2 };
+
+static uint32_t *axis_table(int n, uint32_t vertex, uint32_t tile, int tiles, uint32_t block)
 {
     uint32_t *t = malloc((size_t)n * sizeof *t);
-    for (int i = 0; t && i < n; i++) t[i] = (uint32_t)(i & 3) * inner + (uint32_t)(i >> 2) * tile_step;
+    for (int i = 0; t && i < n; i++) t[i] = (uint32_t)(i & 3) * vertex + (uint32_t)(i / 4 % tiles) * tile + (uint32_t)(i / 4 / tiles) * block;
     return t;
 }
 
@@ -27,13 +30,17 @@ orl_err grid_init(grid *g, const int dims[3], int cell, int c, int threads)
     g->cell = (float)cell;
     g->inv_cell = 1.0f / (float)cell;
     g->threads = threads < GRID_THREADS ? threads : GRID_THREADS;
-    for (int a = 0; a < 3; a++) g->n[a] = (dims[a] / cell + 1 + 3) & ~3;
+    for (int a = 0; a < 3; a++) g->n[a] = (dims[a] / cell + 4 * PAGE[a]) / (4 * PAGE[a]) * (4 * PAGE[a]);
+    for (int a = 0; a < 3; a++) g->top[a] = (float)(dims[a] / cell > 0 ? dims[a] / cell - 1 : 0) + 0.9999f;
     g->nverts = (size_t)g->n[0] * (size_t)g->n[1] * (size_t)g->n[2];
     g->ntiles = g->nverts / GRID_TILE;
     if (g->nverts > UINT32_MAX) return orl_fail(ORL_E_RANGE, "grid of %d x %d x %d vertices is too large", g->n[0], g->n[1], g->n[2]);
-    g->ax = axis_table(g->n[0], 1, GRID_TILE);
-    g->ay = axis_table(g->n[1], 4, GRID_TILE * (uint32_t)(g->n[0] / 4));
-    g->az = axis_table(g->n[2], 16, GRID_TILE * (uint32_t)(g->n[0] / 4) * (uint32_t)(g->n[1] / 4));
+    uint32_t step[3], tile = GRID_TILE;
+    step[0] = GRID_TILE * (uint32_t)(PAGE[0] * PAGE[1] * PAGE[2]);
+    for (int a = 1; a < 3; a++) step[a] = step[a - 1] * (uint32_t)(g->n[a - 1] / (4 * PAGE[a - 1]));
+    g->ax = axis_table(g->n[0], 1, tile, PAGE[0], step[0]);
+    g->ay = axis_table(g->n[1], 4, tile *= (uint32_t)PAGE[0], PAGE[1], step[1]);
+    g->az = axis_table(g->n[2], 16, tile * (uint32_t)PAGE[1], PAGE[2], step[2]);
     size_t bytes = g->nverts * (size_t)c * sizeof(float);
     g->p = map_zero(bytes);
     g->live = map_zero(g->ntiles);

@@ -16,9 +16,10 @@
 #define GRID_TILE 64                /* vertices in a tile */
 
 typedef struct {
-    int n[3];                       /* vertices per axis, multiple of 4 */
+    int n[3];                       /* vertices per axis, multiple of a page's side (grid.c) */
     int c;                          /* floats per vertex */
     float cell, inv_cell;           /* in fine cells */
+    float top[3];                   /* in vertices: what lies beyond is taken to here */
     uint32_t *ax, *ay, *az;         /* address tables */
     size_t nverts, ntiles;
     float *p, *m, *v;               /* parameters, Adam moments (m, v NULL if not trained) */
@@ -56,8 +57,7 @@ static inline void grid_find(const grid *g, const float x[3], grid_cell *c)
     int i[3];
     for (int a = 0; a < 3; a++) {
         float t = x[a] * g->inv_cell;
-        float top = (float)(g->n[a] - 2) + 0.9999f;
-        t = t > 0 ? (t < top ? t : top) : 0;
+        t = t > 0 ? (t < g->top[a] ? t : g->top[a]) : 0;
         i[a] = (int)t;
         q[a] = t - (float)i[a];
     }
