@@ -3,7 +3,7 @@
  * Distance: implicit moving least squares (Kolluri 2005), made robust after Oeztireli, Guennebaud and Gross (2009). At a query point x,
  *   f(x) = sum_i w_i n_i . (x - p_i) / sum_i w_i,   w_i = weight_i * exp(-tangential distance^2 / 2 SPREAD^2) * exp(-(n_i . (x - p_i) - f)^2 / 2 SHEET^2),
  * where the last factor, absent in the first of ROUNDS evaluations, takes other sheets and gross errors out.
- * Cleaning the points first (dropping those that other photos see through, normals refitted to the points around) was tried and made the surface worse. */
+ * Refitting normals to the points around was tried and made the surface worse. */
 #include "trainer/fuse.h"
 #include <math.h>
 #include <stdlib.h>
@@ -11,11 +11,12 @@
 
 enum { BIN = 2, ROUNDS = 3 };
 #define REACH 3.0f              /* fine cells: points farther than this say nothing */
-#define SPREAD 1.0f
-#define SHEET 1.0f
+#define SPREAD 0.8f
+#define SHEET 0.8f
+#define FREE 2.0f               /* fine cells before the hull: other photos saw through there */
 #define ENOUGH 1.5f             /* sum of weights that makes half of full confidence */
 
-orl_err fuse_init(fuse *f, const stereo *st, const int dims[3])
+orl_err fuse_init(fuse *f, const stereo *st, const grid *hull, const int dims[3])
 {
     size_t bins = 1;
     memset(f, 0, sizeof *f);
@@ -34,6 +35,9 @@ orl_err fuse_init(fuse *f, const stereo *st, const int dims[3])
                 if (!out) b = b * (size_t)f->n[a] + (size_t)((int)x[a] / BIN);
             }
             if (out) continue;
+            grid_cell c;
+            grid_find(hull, x, &c);
+            if (grid_value(hull, &c, NULL) > FREE) continue;
             if (place) f->index[f->begin[b + 1]++] = i;
             else f->begin[b + 2]++;
         }

@@ -1,6 +1,6 @@
 /* First SDF: a vote of the photos at every voxel, then the distance to where it changes sign.
- * A stereo point says how far the voxel lies before or behind its plane; sky behind a voxel says free; where a pixel has no stereo point, depth carried over from its neighbours says free or
- * solid with little weight; what lies behind every surface is solid if nobody objects, and so is the ground. No fog behind surfaces, no shell in the sky; volume rendering refines it. */
+ * A stereo point says how far the voxel lies before or behind its plane; sky behind a voxel says free; where a pixel has no stereo point, depth carried over from its neighbours says free
+ * with little weight; what lies behind every surface is solid if nobody objects, and so is the ground. No fog behind surfaces, no shell in the sky; volume rendering refines it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,6 +8,8 @@
 #include "trainer/stereo.h"
 
 enum { DW = 128, DH = 128, LEVELS = 8, MOST_VOTERS = 256 };     /* depth maps over each photo that votes */
+#define NOWHERE 1e9f
+#define EDGE 0.05f              /* steps that a grey value's difference, summed over the channels, is worth */
 typedef struct { float inv[DH][DW]; uint8_t level[DH][DW]; } depth_map;
 
 static void depth_add(const world_photo *p, const float x[3], float weight, float *sum, float *wt)
@@ -20,46 +22,55 @@ static void depth_add(const world_photo *p, const float x[3], float weight, floa
     wt[v * DW + u] += weight;
 }
 
-/* Inverse depth of SfM and stereo points, holes filled from coarser levels; level tells from how far. */
+/* Inverse depth of SfM and stereo points; a hole takes it from where the way along the photo is short and crosses few edges (geodesic distance, after Revaud et al., EpicFlow, 2015): what shows
+ * between two columns is what shows between the next two, not the columns. level tells from how far. */
 static void depth_interpolate(const world *w, const stereo *st, int k, depth_map *out)
 {
-    static const int SIZE[LEVELS] = { 128, 64, 32, 16, 8, 4, 2, 1 };
+    enum { N = DW * DH, SWEEPS = 6 };
+    static const int DX[4] = { -1, -1, 0, 1 }, DY[4] = { 0, -1, -1, -1 };
     const world_photo *p = &w->photos[k];
-    float *sum[LEVELS], *wt[LEVELS];
-    float *block = calloc(2 * (size_t)LEVELS * DW * DH, sizeof *block);
-    if (!block) { memset(out, 0, sizeof *out); memset(out->level, 255, sizeof out->level); return; }
-    for (int l = 0; l < LEVELS; l++) { sum[l] = block + (size_t)l * 2 * DW * DH; wt[l] = sum[l] + DW * DH; }
+    float *sum = calloc((size_t)N * 6, sizeof *sum), *wt = sum + N, *away = wt + N, (*rgb)[3] = (float (*)[3])(away + N);
+    int *from = calloc(N, sizeof *from);
+    memset(out->inv, 0, sizeof out->inv);
+    memset(out->level, 255, sizeof out->level);
+    if (!sum || !from) goto done;
     for (uint32_t i = 0; i < p->obs_count; i++) {
         const world_point *q = &w->points[w->obs[p->obs_begin + i].point];
-        depth_add(p, q->x, q->weight, sum[0], wt[0]);
+        depth_add(p, q->x, q->weight, sum, wt);
     }
-    for (uint32_t i = st ? st->begin[k] : 0, end = st ? st->begin[k + 1] : 0; i < end; i++) depth_add(p, st->points[i].x, st->points[i].weight, sum[0], wt[0]);
-    for (int l = 1; l < LEVELS; l++)
-        for (int y = 0; y < SIZE[l]; y++)
-            for (int x = 0; x < SIZE[l]; x++)
-                for (int k = 0; k < 4; k++) {
-                    int j = (2 * y + (k >> 1)) * SIZE[l - 1] + 2 * x + (k & 1);
-                    float c = wt[l - 1][j] > 0 ? fminf(1, wt[l - 1][j]) / wt[l - 1][j] : 0;   /* dense spots do not drown their neighbours */
-                    sum[l][y * SIZE[l] + x] += sum[l - 1][j] * c;
-                    wt[l][y * SIZE[l] + x] += wt[l - 1][j] * c;
-                }
-    for (int y = 0; y < DH; y++)
-        for (int x = 0; x < DW; x++) {
-            int l = 0;
-            while (l < LEVELS - 1 && wt[l][(y >> l) * SIZE[l] + (x >> l)] < 0.05f) l++;
-            float s = 0, t = 0;
-            for (int dy = -1; dy <= 1; dy++)
-                for (int dx = -1; dx <= 1; dx++) {
-                    int yy = (y >> l) + dy, xx = (x >> l) + dx;
-                    if (yy < 0 || xx < 0 || yy >= SIZE[l] || xx >= SIZE[l]) continue;
-                    float c = (dx || dy) ? 0.3f : 1.0f;
-                    s += c * sum[l][yy * SIZE[l] + xx];
-                    t += c * wt[l][yy * SIZE[l] + xx];
-                }
-            out->inv[y][x] = t > 0 ? s / t : 0;
-            out->level[y][x] = (uint8_t)l;
+    for (uint32_t i = st ? st->begin[k] : 0, end = st ? st->begin[k + 1] : 0; i < end; i++) depth_add(p, st->points[i].x, st->points[i].weight, sum, wt);
+    for (int i = 0; i < N; i++) {
+        for (int b = 0; b < 4; b++) {
+            uint8_t c[3];
+            world_rgb(p, (int)((i % DW + 0.25 + 0.5 * (b & 1)) * p->w / DW), (int)((i / DW + 0.25 + 0.5 * (b >> 1)) * p->h / DH), c);
+            for (int a = 0; a < 3; a++) rgb[i][a] += 0.25f * c[a];
         }
-    free(block);
+        away[i] = wt[i] >= 0.05f ? 0 : NOWHERE;
+        from[i] = i;
+    }
+    for (int sweep = 0; sweep < SWEEPS; sweep++)
+        for (int n = 0; n < N; n++) {
+            int i = sweep & 1 ? N - 1 - n : n, sign = sweep & 1 ? -1 : 1;
+            for (int q = 0; q < 4; q++) {
+                int x = i % DW + sign * DX[q], y = i / DW + sign * DY[q], o = y * DW + x;
+                if (x < 0 || y < 0 || x >= DW || y >= DH) continue;
+                float edge = fabsf(rgb[i][0] - rgb[o][0]) + fabsf(rgb[i][1] - rgb[o][1]) + fabsf(rgb[i][2] - rgb[o][2]);
+                float there = away[o] + (DX[q] && DY[q] ? 1.4f : 1.0f) * (1 + EDGE * edge);
+                if (there >= away[i]) continue;
+                away[i] = there;
+                from[i] = from[o];
+            }
+        }
+    for (int i = 0; i < N; i++) {
+        int l = 0;
+        if (away[i] >= NOWHERE) continue;
+        while (l < LEVELS - 1 && away[i] > (float)(1 << l) - 0.5f) l++;
+        out->inv[i / DW][i % DW] = sum[from[i]] / wt[from[i]];
+        out->level[i / DW][i % DW] = (uint8_t)l;
+    }
+done:
+    free(sum);
+    free(from);
 }
 
 static int by_float(const void *a, const void *b)
@@ -144,6 +155,7 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
 }
 
 #define SPAN 6.0f               /* fine cells: what is nearer to a stereo point's plane is measured, what is farther before it is free */
+#define THICK 4.0f              /* fine cells behind a stereo point that are solid, less and less surely: a column hides more than it fills */
 #define SAY_SKY 0.7f
 #define SAY_BEHIND 0.004f
 #define SAY_GROUND 0.5f
@@ -176,18 +188,17 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
             before2 += d[a] * d[a];
         }
         float behind = sqrtf(away2) - sqrtf(before2);
-        if (behind > 2 * SPAN) say(SAY_BEHIND, -SPAN, sum);
-        else say(q->weight, behind < -2 * SPAN ? SPAN : f, sum);
+        if (behind > THICK) say(SAY_BEHIND, -SPAN, sum);
+        else say(q->weight * fminf(1, 2 - 2 * behind / THICK), behind < -2 * SPAN ? SPAN : f, sum);
         return;
     }
     const depth_map *m = &j->maps[k];
     int mx = (int)(uv[0] * DW / p->w), my = (int)(uv[1] * DH / p->h), level = m->level[my][mx];
     if (measured || m->inv[my][mx] <= 0) return;
-    /* The farther the depth was carried, the less it says and the farther from it a voxel must be. */
+    /* Carried depth says what is free, not what is solid: the farther it came, the less it says and the farther from it a voxel must be. */
     static const float SAY[LEVELS] = { 0.3f, 0.2f, 0.1f, 0.06f, 0.04f, 0.03f, 0.02f, 0.02f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.98f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
-    float surface = 1.0f / m->inv[my][mx];
-    if ((float)depth < NEAR[level] * surface - (float)j->cell) say(SAY[level], SPAN, sum);
-    else say(level <= 3 && (float)depth < 1.03f * surface + SPAN ? 0.5f * SAY[level] : SAY_BEHIND, -SPAN, sum);
+    if ((float)depth < NEAR[level] / m->inv[my][mx] - (float)j->cell) say(SAY[level], SPAN, sum);
+    else say(SAY_BEHIND, -SPAN, sum);
 }
 
 static void carve_range(void *user, int begin, int end)
@@ -299,7 +310,7 @@ orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sd
         float near = fminf(fmaxf(1.5f - 0.5f * fabsf(d) / (float)cell, 0), 1) * fminf(fmaxf(3 - 4 * fabsf(f) / SPAN, 0), 1);   /* the vote itself is finer than the lattice */
         out[i] = d + near * (f - d);
     }
-    smooth(out, in, j.n);
+    for (int round = 0; round < 2; round++) smooth(out, in, j.n);
     *sdf = out;
     out = NULL;
 done:

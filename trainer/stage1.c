@@ -36,11 +36,10 @@ static void start_level(grid *g, const int dims[3], const float *lattice, int ce
 {
     int n[3], step = (int)g->cell / cell;
     for (int a = 0; a < 3; a++) n[a] = dims[a] / cell + 1;
-    for (int z = 0; z < g->n[2]; z++)
-        for (int y = 0; y < g->n[1]; y++)
-            for (int x = 0; x < g->n[0]; x++) {
+    for (int z = 0; z * step < n[2]; z++)
+        for (int y = 0; y * step < n[1]; y++)
+            for (int x = 0; x * step < n[0]; x++) {
                 int at[3] = { x * step, y * step, z * step };
-                for (int a = 0; a < 3; a++) if (at[a] >= n[a]) at[a] = n[a] - 1;
                 size_t i = grid_at(g, x, y, z);
                 float v = lattice[((size_t)at[2] * (size_t)n[1] + (size_t)at[1]) * (size_t)n[0] + (size_t)at[0]];
                 if (coarser) {
@@ -59,13 +58,14 @@ typedef struct { stage1 *s; fuse f; } fuse_job;
 
 #define FUSE_BAND 4.0f           /* fine cells from the hull's surface */
 
-static void fuse_slices(void *user, int begin, int end)
+/* Layers of tiles, so that each is marked by one thread. */
+static void fuse_layers(void *user, int begin, int end)
 {
     fuse_job *j = user;
     const grid *hull = &j->s->hull;
     grid *g = &j->s->fused;
     const int *dims = j->s->w->frame.dims;
-    for (int z = begin; z < end; z++)
+    for (int z = 4 * begin; z < 4 * end && z <= dims[2]; z++)
         for (int y = 0; y <= dims[1]; y++)
             for (int x = 0; x <= dims[0]; x++) {
                 float q[3] = { (float)x, (float)y, (float)z }, side[3] = { 0 }, sure;
@@ -75,7 +75,10 @@ static void fuse_slices(void *user, int begin, int end)
                 if (fabsf(at) > FUSE_BAND) continue;
                 grid_value(hull, &c, side);
                 float f = fuse_distance(&j->f, q, side, &sure);
-                if (sure > 0) g->p[grid_at(g, x, y, z)] = sure * (f - at);
+                if (!(sure > 0)) continue;
+                size_t i = grid_at(g, x, y, z);
+                g->p[i] = sure * (f - at);
+                grid_mark(g, i);
             }
 }
 
@@ -85,14 +88,13 @@ static orl_err start_fused(stage1 *s)
     fuse_job j = { .s = s };
     orl_err e = grid_init(&s->fused, s->w->frame.dims, 1, 1, 0);
     if (e || !s->st || !s->st->npoints) return e;
-    if ((e = fuse_init(&j.f, s->st, s->w->frame.dims))) return e;
-    orl_parallel(s->opt.threads, s->w->frame.dims[2] + 1, 1, fuse_slices, &j);
+    if ((e = fuse_init(&j.f, s->st, &s->hull, s->w->frame.dims))) return e;
+    orl_parallel(s->opt.threads, s->w->frame.dims[2] / 4 + 1, 1, fuse_layers, &j);
     fuse_free(&j.f);
-    for (size_t i = 0; i < s->fused.nverts; i++) {
-        if (s->fused.p[i] == 0) continue;
-        s->sdf[0].p[i] = s->fused.p[i];
-        grid_mark(&s->fused, i);
-        grid_mark(&s->sdf[0], i);
+    for (size_t t = 0; t < s->fused.ntiles; t++) {
+        if (!s->fused.live[t]) continue;
+        memcpy(s->sdf[0].p + t * GRID_TILE, s->fused.p + t * GRID_TILE, GRID_TILE * sizeof(float));
+        s->sdf[0].live[t] = 1;
     }
     return ORL_OK;
 }
