@@ -15,6 +15,7 @@
 #include "oriel/view.h"
 #include "trainer/commands.h"
 #include "trainer/checkpoint.h"
+#include "trainer/order.h"
 #include "trainer/transient.h"
 
 enum { PIXELS = 3000, GAP = 4 };
@@ -358,19 +359,6 @@ static orl_err half_photo(const options *o, const orl_dataset *data, const orl_s
 
 /* ---- against ground truth ---- */
 
-static int by_value(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *v, size_t n)
-{
-    if (!n) return 0;
-    qsort(v, n, sizeof *v, by_value);
-    return 0.5 * (v[(n - 1) / 2] + v[n / 2]);
-}
-
 /* Reads DIR/gt/STEM_WHAT.exr at the photo's own size. */
 static orl_err read_truth(const orl_dataset *d, const orl_photo *p, const char *what, const char *channels, orl_imagef *out)
 {
@@ -450,7 +438,7 @@ static orl_err held_out(const orl_dataset *d, const orl_scene *s, int threads, f
         }
         free(mem);
     }
-    out[0] = (figure){ n ? median(rel, n) : 1, "sfm_heldout_median_rel", 5 };
+    out[0] = (figure){ n ? order_median(rel, n) : 1, "sfm_heldout_median_rel", 5 };
     out[1] = (figure){ (double)points, "sfm_heldout_points", 0 };
     free(rel);
     free(counted);
@@ -543,7 +531,7 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
     }
     if (!e && !n) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel where scene and ground truth both see surface", d->dir);
     if (!e) {
-        out[0] = (figure){ median(rel, n), "depth_median_rel", 5 };
+        out[0] = (figure){ order_median(rel, n), "depth_median_rel", 5 };
         out[1] = (figure){ angle / (double)n, "normal_mean_deg", 3 };
         out[2] = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
     }
@@ -692,7 +680,7 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
     if (!e && !photos) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel where scene and ground truth both see surface", d->dir);
     if (!e) {
         out[0] = (figure){ psnr / photos, "albedo_psnr", 3 };
-        out[1] = (figure){ median(suns, nsuns), "sun_median_deg", 2 };
+        out[1] = (figure){ order_median(suns, nsuns), "sun_median_deg", 2 };
     }
     return e;
 }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/order.h"
 #include "trainer/stereo.h"
 
 enum { DW = 128, DH = 128, LEVELS = 8, MOST_VOTERS = 256 };     /* depth maps over each photo that votes */
@@ -73,12 +74,6 @@ done:
     free(from);
 }
 
-static int by_float(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 /* Share of cameras over the ground. */
 static float cameras_over(const world *w, const frame *g)
 {
@@ -100,7 +95,7 @@ static frame ground_find(const world *w, const stereo *st)
     float *z = malloc((size_t)w->nphotos * sizeof *z);
     for (int k = 0; z && k < w->nphotos; k++) z[k] = (float)w->photos[k].centre[2];
     if (z) {
-        qsort(z, (size_t)w->nphotos, sizeof *z, by_float);
+        order_floats(z, (size_t)w->nphotos);
         heads = z[w->nphotos * 3 / 10];
     }
     free(z);

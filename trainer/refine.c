@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/order.h"
 
 enum { N = WORLD_FIX, PIXELS = 1000, ITERATIONS = 4, SIGHTINGS = 2000 };
 #define PHOTO_SHARE 0.1         /* of a pixel's weight: its neighbours err alike, and so does the appearance model */
@@ -154,12 +155,6 @@ static int solve(double A[N][N], const double b[N], double damping, double x[N])
     return 1;
 }
 
-static int by_double(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 /* Median size of the residuals from..to, for sigma = 1. */
 static double scatter(const problem *q, const world_photo *p, int from, int to, double *v)
 {
@@ -169,7 +164,7 @@ static double scatter(const problem *q, const world_photo *p, int from, int to, 
         int c = residual(q, p, i, r);
         if (c) v[n++] = sqrt((r[0] * r[0] + r[1] * r[1] + (c > 2 ? r[2] * r[2] : 0)) / c);
     }
-    qsort(v, (size_t)n, sizeof *v, by_double);
+    order_doubles(v, (size_t)n);
     return n ? v[n / 2] : 0;
 }
 
@@ -188,7 +183,7 @@ static void refine_range(void *user, int begin, int end)
         problem q = { .w = job->w, .given = p, .t = t, .sigma_obs = 1, .sigma_rgb = 1 };
         if (job->s) q.nt = find_targets(job->s, k, &r, t);
         for (uint32_t i = 0; i < p->obs_count; i++) if (world_project(p, job->w->points[job->w->obs[p->obs_begin + i].point].x, uv, &z)) v[n++] = z;
-        qsort(v, (size_t)n, sizeof *v, by_double);
+        order_doubles(v, (size_t)n);
         depth = n ? v[n / 2] : 0.5 * job->w->frame.dims[0];
         double px = 0.5 / p->cam.fx, half = 0.5 * p->w / p->cam.fx;
         for (int j = 0; j < 3; j++) { q.step[j] = px; q.step[3 + j] = px * depth; }

@@ -11,6 +11,7 @@
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
 #include "trainer/eval.h"
+#include "trainer/order.h"
 #include "trainer/plot.h"
 
 enum { SCORED = 512, SHOWN = 360, DOME = 220 };
@@ -176,12 +177,6 @@ static orl_err open_view(const page *p, const orl_camera *cam, const orl_pose *p
 
 /* ---- sections ---- */
 
-static int by_double(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 /* A camera outside: behind the photographers, higher and to one side, looking at the middle of the SfM points. */
 static orl_err outside(const page *p, double turn, orl_camera *cam, orl_pose *pose)
 {
@@ -192,16 +187,14 @@ static orl_err outside(const page *p, double turn, orl_camera *cam, orl_pose *po
     for (int a = 0; a < 3; a++) {
         uint32_t m = 0;
         for (uint32_t i = 0; i < d->npoints; i++) v[i] = d->points[i].xyz[a];
-        qsort(v, d->npoints, sizeof *v, by_double);
-        target[a] = d->npoints ? v[d->npoints / 2] : 0;
+        target[a] = order_median(v, d->npoints);
         for (uint32_t i = 0; i < d->nphotos; i++) {
             double c[3];
             if (d->photos[i].test) continue;
             orl_pose_centre(&d->photos[i].pose, c);
             v[m++] = c[a];
         }
-        qsort(v, m, sizeof *v, by_double);
-        eye[a] = m ? v[m / 2] : 1;
+        eye[a] = m ? order_median(v, m) : 1;
         up[a] = g[8 + a] / scale;
     }
     free(v);

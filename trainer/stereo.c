@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/order.h"
 #include "trainer/ranks.h"
 #include "trainer/grid.h"
 
@@ -154,12 +155,6 @@ static int by_score(const void *a, const void *b)
     return x->score < y->score ? 1 : x->score > y->score ? -1 : x->photo - y->photo;
 }
 
-static int by_float(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 /* Photos that share many SfM points, each worth most where its rays meet at 5 to 20 degrees and its scales are alike. */
 static void choose_companions(const world *w, shot *shots, int k, rank *order, uint8_t *seen, float *depth)
 {
@@ -174,7 +169,7 @@ static void choose_companions(const world *w, shot *shots, int k, rank *order, u
         seen[o->point] = 1;
         depth[n++] = (float)z;
     }
-    qsort(depth, (size_t)n, sizeof *depth, by_float);
+    order_floats(depth, (size_t)n);
     s->z_min = n ? fmaxf(0.12f * depth[n / 50], 1) : 1;
     s->z_max = n ? 2.0f * depth[n - 1 - n / 50] : 1e4f;
     for (int j = 0; j < w->nphotos; j++) {

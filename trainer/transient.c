@@ -9,6 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/order.h"
 
 enum { STRIDE = 8, COMPANIONS = 48, FEW = 3, REACH = 2, SFM_REACH = 3, SWEEPS = 100 };
 #define FLOOR 0.02f             /* of a residual's noise */
@@ -24,15 +25,9 @@ typedef uint8_t colour[3];
 typedef struct { int w, h; float *t; colour *rgb, *fit, *lit, *shade; uint8_t *bare; } plane;
 typedef struct { const world *w; const stage2 *s2; float ground[3]; plane *p; uint8_t **out; int failed; } job;
 
-static int by_float(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 static float middle(float *v, int n)
 {
-    if (n > COMPANIONS) qsort(v, (size_t)n, sizeof *v, by_float);
+    if (n > COMPANIONS) order_floats(v, (size_t)n);
     else for (int i = 1; i < n; i++) {
         float x = v[i];
         int j = i;
@@ -308,7 +303,7 @@ static void common_ground(job *j)
                 n++;
             }
     for (int a = 0; v && n && a < 3; a++) {
-        qsort(v + (size_t)a * cap, n, sizeof *v, by_float);
+        order_floats(v + (size_t)a * cap, n);
         j->ground[a] = v[(size_t)a * cap + n / 2];
     }
     free(v);

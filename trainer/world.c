@@ -6,6 +6,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 #include "oriel/skymask.h"
+#include "trainer/order.h"
 #include "trainer/ranks.h"
 
 void frame_apply(const frame *f, const double w[3], double g[3])
@@ -121,18 +122,6 @@ static void smallest_axis(const double m[9], double v[3])
     }
 }
 
-static int by_double(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double percentile(double *v, int n, double q)
-{
-    qsort(v, (size_t)n, sizeof *v, by_double);
-    return v[(int)(q * (n - 1) + 0.5)];
-}
-
 /* SfM points in reach: a hundred times the median distance from the middle at most. What is farther (clouds, rays all but parallel, no numbers at all) is no surface that could be learned, and
  * would stretch the box. where: a point's index among those kept, -1 for others. */
 typedef struct { double (*x)[3]; int32_t *where; int n; } reach;
@@ -147,10 +136,10 @@ static int reach_find(const orl_dataset *d, reach *r)
     if (!v || !r->x || !r->where) { free(v); return 0; }
     for (int a = 0; n && a < 3; a++) {
         for (size_t i = 0; i < n; i++) v[i] = d->points[i].xyz[a];
-        mid[a] = percentile(v, (int)n, 0.5);
+        mid[a] = order_percentile(v, n, 0.5);
     }
     for (int pass = 0; n && pass < 2; pass++) {
-        double most = pass ? 100 * percentile(v, (int)n, 0.5) : 0;
+        double most = pass ? 100 * order_percentile(v, n, 0.5) : 0;
         for (size_t i = 0; i < n; i++) {
             const double *x = d->points[i].xyz;
             double away = hypot(hypot(x[0] - mid[0], x[1] - mid[1]), x[2] - mid[2]);
@@ -204,9 +193,9 @@ static orl_err place(const orl_dataset *d, const reach *pts, int longest, frame 
     for (int a = 0; a < 3; a++) {
         const double *r = f->R + 3 * a;
         for (int i = 0; i < np; i++) v[i] = r[0] * pts->x[i][0] + r[1] * pts->x[i][1] + r[2] * pts->x[i][2];
-        lo[a] = percentile(v, np, a == 2 ? 0.004 : 0.02);
-        hi[a] = percentile(v, np, a == 2 ? 0.998 : 0.98);
-        if (a == 2) ground = percentile(v, np, 0.01);
+        lo[a] = order_percentile(v, (size_t)np, a == 2 ? 0.004 : 0.02);
+        hi[a] = order_percentile(v, (size_t)np, a == 2 ? 0.998 : 0.98);
+        if (a == 2) ground = order_percentile(v, (size_t)np, 0.01);
         int n2 = 0;
         for (uint32_t i = 0; i < d->nphotos; i++) {
             if (d->photos[i].test) continue;
@@ -214,8 +203,8 @@ static orl_err place(const orl_dataset *d, const reach *pts, int longest, frame 
             orl_pose_centre(&d->photos[i].pose, c);
             v[n2++] = r[0] * c[0] + r[1] * c[1] + r[2] * c[2];
         }
-        clo[a] = percentile(v, n2, 0.05);
-        chi[a] = percentile(v, n2, 0.95);
+        clo[a] = order_percentile(v, (size_t)n2, 0.05);
+        chi[a] = order_percentile(v, (size_t)n2, 0.95);
     }
     free(v);
     double side = 0, reach;
@@ -369,7 +358,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         double uv[2], z;
         int n = 0;
         for (uint32_t i = 0; i < p->obs_count; i++) if (world_project(p, w.points[w.obs[p->obs_begin + i].point].x, uv, &z)) depth[n++] = z;
-        p->near = n ? (float)(0.5 * percentile(depth, n, 0.5)) : 0;
+        p->near = n ? (float)(0.5 * order_percentile(depth, (size_t)n, 0.5)) : 0;
     }
     free(depth);
     *out = w;
