@@ -248,7 +248,7 @@ static orl_err run_stage1(run *r)
     }
     stage1_freeze(s);
     stereo_free(&r->st);
-    if ((e = surface_build(s, &r->surf)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
+    if ((e = surface_build(s, &r->surf)) || (e = surface_carve(&r->surf, &r->w, r->head.threads)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
     tell("surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
     if ((e = stage2_init(&r->s2, &r->w, &r->surf, s, &r->light, &r->o2))) return e;
     r->head.phase = 2;

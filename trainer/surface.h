@@ -18,6 +18,8 @@ typedef struct { float x[3], n[3], t; } surface_hit;
 
 /* Collapses stage 1's levels into bricks around the zero set. */
 orl_err surface_build(const stage1 *s, surface *out);
+/* Takes away what the photos' sky shines through. Bricks may be left without surface; surface_prune drops them. */
+orl_err surface_carve(surface *s, const world *w, int threads);
 /* Drops bricks that no training ray hits (nor any neighbour of such a brick): nobody saw them. */
 orl_err surface_prune(surface *s, const world *w, int threads);
 /* Openness and horizons on the light vertices of every brick, traced on the surface itself. */

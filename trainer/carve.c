@@ -1,0 +1,100 @@
+/* Silhouettes: what a photo sees as sky is free, and so is a ball around it (surface.h).
+ * A vertex that projects into a photo's sky, r pixels from the nearest pixel that is none, has no surface within r pixels times its depth over the focal length: a lower bound on its signed distance. Masks err,
+ * so the bound that counts is one that one other photo or more exceeds. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+#include "trainer/surface.h"
+
+enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = 6 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
+#define BAND 3.0f               /* fine cells: bounds are cut here, and what is deeper inside stays */
+
+typedef struct { const world_photo *p; int w, h, side; uint8_t *far; } sky_map;     /* far: pixels of the photo to the next one that is no sky, times UNIT; each entry stands for side x side of them */
+typedef struct { const world *w; surface *s; sky_map *map; const size_t *brick; int voters, failed; } carve_job;
+
+/* Chamfer distance (3, 4) from the labels. */
+static void map_range(void *user, int begin, int end)
+{
+    carve_job *j = user;
+    for (int k = begin; k < end; k++) {
+        sky_map *m = &j->map[k];
+        const world_photo *p = m->p;
+        m->side = 1;
+        while ((size_t)(p->w / m->side) * (size_t)(p->h / m->side) > MAP_PIXELS) m->side++;
+        m->w = p->w / m->side;
+        m->h = p->h / m->side;
+        size_t n = (size_t)m->w * (size_t)m->h;
+        m->far = malloc(n + 1);
+        if (!m->far) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); continue; }
+        for (size_t i = 0; i < n; i++) m->far[i] = world_label(p, (int)(i % (size_t)m->w) * m->side + m->side / 2, (int)(i / (size_t)m->w) * m->side + m->side / 2) == WORLD_SKY ? 255 : 0;
+        static const int DX[4] = { -1, -1, 0, 1 }, DY[4] = { 0, -1, -1, -1 };
+        for (int sweep = 0; sweep < 2; sweep++)
+            for (size_t q = 0; q < n; q++) {
+                size_t i = sweep ? n - 1 - q : q;
+                int x = (int)(i % (size_t)m->w), y = (int)(i / (size_t)m->w), best = m->far[i];
+                for (int d = 0; d < 4; d++) {
+                    int u = x + (sweep ? -DX[d] : DX[d]), v = y + (sweep ? -DY[d] : DY[d]);
+                    if (u < 0 || v < 0 || u >= m->w || v >= m->h) continue;
+                    int there = m->far[(size_t)v * (size_t)m->w + (size_t)u] + (DX[d] && DY[d] ? UNIT * 4 / 3 : UNIT) * m->side;
+                    if (there < best) best = there;
+                }
+                m->far[i] = (uint8_t)best;
+            }
+    }
+}
+
+/* The lower bound that enough photos give; 0: none. */
+static float bound_at(const carve_job *j, const float x[3])
+{
+    float best[MOST_NEED] = { 0 };
+    int inside = 0;
+    for (int k = 0; k < j->voters; k++) {
+        const sky_map *m = &j->map[k];
+        double uv[2], z;
+        if (!world_project(m->p, x, uv, &z) || !(uv[0] >= 0 && uv[1] >= 0)) continue;
+        int u = (int)uv[0] / m->side, v = (int)uv[1] / m->side;
+        if (u >= m->w || v >= m->h) continue;
+        inside++;
+        float b = ((float)m->far[(size_t)v * (size_t)m->w + (size_t)u] / UNIT - 0.5f * (float)m->side) * (float)(z / m->p->cam.fx);
+        for (int i = 0; i < MOST_NEED && b > 0; i++) if (b > best[i]) { float t = best[i]; best[i] = b; b = t; }
+    }
+    int more = 1 + inside / SHARE;
+    return best[more < MOST_NEED ? more : MOST_NEED - 1];
+}
+
+static void carve_range(void *user, int begin, int end)
+{
+    carve_job *j = user;
+    surface *s = j->s;
+    for (int b = begin; b < end; b++) {
+        float *v = s->sdf + (size_t)b * ORL_BRICK_VERTS;
+        int o[3] = { (int)(j->brick[b] % (size_t)s->nb[0]), (int)(j->brick[b] / (size_t)s->nb[0] % (size_t)s->nb[1]), (int)(j->brick[b] / ((size_t)s->nb[0] * (size_t)s->nb[1])) };
+        for (int i = 0; i < ORL_BRICK_VERTS; i++) {
+            float x[3] = { (float)(8 * o[0] + i % 9), (float)(8 * o[1] + i / 9 % 9), (float)(8 * o[2] + i / 81) };
+            float b = fabsf(v[i]) < BAND ? bound_at(j, x) : 0;
+            if (b > v[i] && b > 0) v[i] = fminf(b, BAND);
+        }
+    }
+}
+
+orl_err surface_carve(surface *s, const world *w, int threads)
+{
+    carve_job j = { .w = w, .s = s };
+    size_t total = (size_t)s->nb[0] * (size_t)s->nb[1] * (size_t)s->nb[2];
+    uint8_t *use = world_cover(w, VOTERS, SIZE_MAX);
+    size_t *brick = malloc(((size_t)s->nbricks + 1) * sizeof *brick);
+    j.map = calloc((size_t)w->nphotos, sizeof *j.map);
+    orl_err e = use && brick && j.map ? ORL_OK : orl_fail(ORL_E_MEMORY, "silhouettes: no memory");
+    for (int k = 0; !e && k < w->nphotos; k++) if (use[k]) j.map[j.voters++].p = &w->photos[k];
+    for (size_t i = 0; !e && i < total; i++) if (s->bmap[i] >= 0) brick[s->bmap[i]] = i;
+    j.brick = brick;
+    if (!e) orl_parallel(threads, j.voters, 1, map_range, &j);
+    if (!e && j.failed) e = orl_fail(ORL_E_MEMORY, "silhouettes: no memory");
+    if (!e) orl_parallel(threads, (int)s->nbricks, 16, carve_range, &j);
+    for (int k = 0; k < j.voters; k++) free(j.map[k].far);
+    free(j.map);
+    free(brick);
+    free(use);
+    return e;
+}
