@@ -288,7 +288,7 @@ static int ray_march(const stage1 *s, const schedule *c, const float o[3], const
         prev_log = q->log_s;
         chained = 1;
         n++;
-        if (trans < 2e-3f) break;
+        if (trans < 2e-3f && s->heuristics) break;
         t += c->delta;
     }
     return n;
@@ -335,13 +335,13 @@ static void train_ray(step_job *job, int thread, rng *r)
     int n = ray_march(s, c, o, d, r, ray);
     L->samples += n;
     train_free(job, thread, r, o, d);
-    float W = 0;
+    float W = 0, least = s->heuristics ? 1e-3f : 0;     /* weight that is worth a colour */
     v8 H[2] = { { 0 } };
     for (int k = 0; k < n; k++) {
         ray_sample *q = &ray[k];
         W += q->weight;
         q->h[0] = q->h[1] = (v8){ 0 };
-        if (sky || q->weight < 1e-3f) continue;
+        if (sky || q->weight < least) continue;
         for (int l = 0; l < FEAT_LEVELS; l++) {
             grid_find(&s->feat[l], q->x, &q->fc[l]);
             grid_vector(&s->feat[l], &q->fc[l], 2, q->h);
@@ -437,7 +437,7 @@ static void train_ray(step_job *job, int thread, rng *r)
         float near = dist < p->near ? dist * dist / (p->near * p->near) : 1;
         float shapes = (sky ? SKY_SHAPES : PHOTO_SHAPES) * near;
         if (!s->heuristics) near = shapes = 1;
-        if (!sky && q->weight >= 1e-3f) {
+        if (!sky && q->weight >= least) {
             v8 m = dH[0] * q->h[0] + dH[1] * q->h[1];
             for (int a = 0; a < 8; a++) g += m[a];
             v8 dh[2] = { near * q->weight * dH[0], near * q->weight * dH[1] };
