@@ -61,7 +61,7 @@ for scene; do
     column -ts "$(printf '\t')" "$table" 2>/dev/null || cat "$table"
     # The time at which a rising curve first reaches the textbook's last PSNR: between two points, on the line (logarithm of time).
     awk -F'\t' -v name="$name" '
-        NR == 1 { next }
+        NR == 1 { n = 0; next }
         $1 ~ /textbook/ { goal = $3; last = $2 }
         $1 == "Oriel" { x[n] = $2; y[n++] = $3 }
         END {
