@@ -11,12 +11,12 @@ enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = 6 }
 #define BAND 3.0f               /* fine cells: bounds are cut here, and what is deeper inside stays */
 
 typedef struct { const world_photo *p; int w, h, side; uint8_t *far; } sky_map;     /* far: pixels of the photo to the next one that is no sky, times UNIT; each entry stands for side x side of them */
-typedef struct { const world *w; surface *s; sky_map *map; const size_t *brick; int voters, failed; } carve_job;
+typedef struct { surface *s; sky_map *map; int voters, failed; } trim_job;
 
 /* Chamfer distance (3, 4) from the labels. */
 static void map_range(void *user, int begin, int end)
 {
-    carve_job *j = user;
+    trim_job *j = user;
     for (int k = begin; k < end; k++) {
         sky_map *m = &j->map[k];
         const world_photo *p = m->p;
@@ -45,16 +45,16 @@ static void map_range(void *user, int begin, int end)
 }
 
 /* The lower bound that enough photos give; 0: none. */
-static float bound_at(const carve_job *j, const float x[3])
+static float bound_at(const trim_job *j, const float x[3])
 {
     float best[MOST_NEED] = { 0 };
     int inside = 0;
     for (int k = 0; k < j->voters; k++) {
         const sky_map *m = &j->map[k];
         double uv[2], z;
-        if (!world_project(m->p, x, uv, &z) || !(uv[0] >= 0 && uv[1] >= 0)) continue;
+        if (!world_sees(m->p, x, uv, &z)) continue;
         int u = (int)uv[0] / m->side, v = (int)uv[1] / m->side;
-        if (u >= m->w || v >= m->h) continue;
+        if (u >= m->w || v >= m->h) continue;          /* the rest of a division by side */
         inside++;
         float b = ((float)m->far[(size_t)v * (size_t)m->w + (size_t)u] / UNIT - 0.5f * (float)m->side) * (float)(z / m->p->cam.fx);
         for (int i = 0; i < MOST_NEED && b > 0; i++) if (b > best[i]) { float t = best[i]; best[i] = b; b = t; }
@@ -63,15 +63,16 @@ static float bound_at(const carve_job *j, const float x[3])
     return best[more < MOST_NEED ? more : MOST_NEED - 1];
 }
 
-static void carve_range(void *user, int begin, int end)
+static void trim_range(void *user, int begin, int end)
 {
-    carve_job *j = user;
+    trim_job *j = user;
     surface *s = j->s;
-    for (int b = begin; b < end; b++) {
-        float *v = s->sdf + (size_t)b * ORL_BRICK_VERTS;
-        int o[3] = { (int)(j->brick[b] % (size_t)s->nb[0]), (int)(j->brick[b] / (size_t)s->nb[0] % (size_t)s->nb[1]), (int)(j->brick[b] / ((size_t)s->nb[0] * (size_t)s->nb[1])) };
+    for (int at = begin; at < end; at++) {
+        if (s->bmap[at] < 0) continue;
+        float *v = s->sdf + (size_t)s->bmap[at] * ORL_BRICK_VERTS;
+        int bx = at % s->nb[0], by = at / s->nb[0] % s->nb[1], bz = at / s->nb[0] / s->nb[1];
         for (int i = 0; i < ORL_BRICK_VERTS; i++) {
-            float x[3] = { (float)(8 * o[0] + i % 9), (float)(8 * o[1] + i / 9 % 9), (float)(8 * o[2] + i / 81) };
+            float x[3] = { (float)(8 * bx + i % 9), (float)(8 * by + i / 9 % 9), (float)(8 * bz + i / 81) };
             float b = fabsf(v[i]) < BAND ? bound_at(j, x) : 0;
             if (b > v[i] && b > 0) v[i] = fminf(b, BAND);
         }
@@ -80,21 +81,16 @@ static void carve_range(void *user, int begin, int end)
 
 orl_err surface_carve(surface *s, const world *w, int threads)
 {
-    carve_job j = { .w = w, .s = s };
-    size_t total = (size_t)s->nb[0] * (size_t)s->nb[1] * (size_t)s->nb[2];
+    trim_job j = { .s = s };
     uint8_t *use = world_cover(w, VOTERS, SIZE_MAX);
-    size_t *brick = malloc(((size_t)s->nbricks + 1) * sizeof *brick);
     j.map = calloc((size_t)w->nphotos, sizeof *j.map);
-    orl_err e = use && brick && j.map ? ORL_OK : orl_fail(ORL_E_MEMORY, "silhouettes: no memory");
+    orl_err e = use && j.map ? ORL_OK : orl_fail(ORL_E_MEMORY, "silhouettes: no memory");
     for (int k = 0; !e && k < w->nphotos; k++) if (use[k]) j.map[j.voters++].p = &w->photos[k];
-    for (size_t i = 0; !e && i < total; i++) if (s->bmap[i] >= 0) brick[s->bmap[i]] = i;
-    j.brick = brick;
     if (!e) orl_parallel(threads, j.voters, 1, map_range, &j);
     if (!e && j.failed) e = orl_fail(ORL_E_MEMORY, "silhouettes: no memory");
-    if (!e) orl_parallel(threads, (int)s->nbricks, 16, carve_range, &j);
+    if (!e) orl_parallel(threads, s->nb[0] * s->nb[1] * s->nb[2], 64, trim_range, &j);
     for (int k = 0; k < j.voters; k++) free(j.map[k].far);
     free(j.map);
-    free(brick);
     free(use);
     return e;
 }

@@ -385,6 +385,7 @@ static orl_err fit_nerfw(const fit_options *o, const orl_dataset *d)
     world_free(&w);
     return e;
 }
+
 static char range[80];              /* of the number that did not fit, for the message */
 
 static int number(const char *text, double lo, double hi, double *out)

@@ -16,9 +16,8 @@ typedef struct { float inv[DH][DW]; uint8_t level[DH][DW]; } depth_map;
 static void depth_add(const world_photo *p, const float x[3], float weight, float *sum, float *wt)
 {
     double uv[2], z;
-    if (!world_project(p, x, uv, &z) || z < 1) return;
+    if (!world_sees(p, x, uv, &z) || z < 1) return;
     int u = (int)(uv[0] * DW / p->w), v = (int)(uv[1] * DH / p->h);
-    if (!(uv[0] >= 0) || !(uv[1] >= 0) || u >= DW || v >= DH) return;
     sum[v * DW + u] += weight / (float)z;
     wt[v * DW + u] += weight;
 }
@@ -144,7 +143,7 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
     uint32_t *hit = calloc((size_t)hw * (size_t)hh, sizeof *hit);
     for (uint32_t i = st->begin[k]; hit && i < st->begin[k + 1]; i++) {
         double uv[2];
-        if (world_project(p, st->points[i].x, uv, NULL) && uv[0] >= 0 && uv[1] >= 0 && uv[0] < p->w && uv[1] < p->h) hit[(int)uv[1] / 2 * hw + (int)uv[0] / 2] = i + 1;
+        if (world_sees(p, st->points[i].x, uv, NULL)) hit[(int)uv[1] / 2 * hw + (int)uv[0] / 2] = i + 1;
     }
     return hit;
 }
@@ -171,7 +170,7 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
     float away2 = 0;
     for (int a = 0; a < 3; a++) away2 += (g[a] - (float)p->centre[a]) * (g[a] - (float)p->centre[a]);
     if (away2 < 4.0f * (float)(j->cell * j->cell)) { say(100, SPAN, sum); return; }
-    if (!world_project(p, g, uv, &depth) || uv[0] < 0 || uv[1] < 0 || uv[0] >= p->w || uv[1] >= p->h) return;
+    if (!world_sees(p, g, uv, &depth)) return;
     if (world_label(p, (int)uv[0], (int)uv[1]) == WORLD_SKY) { say(SAY_SKY, SPAN, sum); return; }
     uint32_t hit = j->hits[k] ? j->hits[k][(int)uv[1] / 2 * (p->w / 2 + 1) + (int)uv[0] / 2] : 0;
     if (hit) {

@@ -15,7 +15,7 @@ static int by_double(const void *a, const void *b)
 }
 
 void order_floats(float *v, size_t n) { if (n) qsort(v, n, sizeof *v, by_float); }
-void order_doubles(double *v, size_t n) { if (n) qsort(v, n, sizeof *v, by_double); }
+static void order_doubles(double *v, size_t n) { if (n) qsort(v, n, sizeof *v, by_double); }
 
 double order_percentile(double *v, size_t n, double q)
 {

@@ -4,7 +4,6 @@
 #include <stddef.h>
 
 void order_floats(float *v, size_t n);
-void order_doubles(double *v, size_t n);
 /* The value below which a share q of 0..1 lies, the nearest of v; 0 of none. */
 double order_percentile(double *v, size_t n, double q);
 double order_median(double *v, size_t n);       /* the mean of the middle two where n is even */

@@ -164,8 +164,7 @@ static double scatter(const problem *q, const world_photo *p, int from, int to, 
         int c = residual(q, p, i, r);
         if (c) v[n++] = sqrt((r[0] * r[0] + r[1] * r[1] + (c > 2 ? r[2] * r[2] : 0)) / c);
     }
-    order_doubles(v, (size_t)n);
-    return n ? v[n / 2] : 0;
+    return order_percentile(v, (size_t)n, 0.5);
 }
 
 typedef struct { world *w; const stage1 *s; uint64_t seed; int round; } refine_job;
@@ -183,8 +182,7 @@ static void refine_range(void *user, int begin, int end)
         problem q = { .w = job->w, .given = p, .t = t, .sigma_obs = 1, .sigma_rgb = 1 };
         if (job->s) q.nt = find_targets(job->s, k, &r, t);
         for (uint32_t i = 0; i < p->obs_count; i++) if (world_project(p, job->w->points[job->w->obs[p->obs_begin + i].point].x, uv, &z)) v[n++] = z;
-        order_doubles(v, (size_t)n);
-        depth = n ? v[n / 2] : 0.5 * job->w->frame.dims[0];
+        depth = n ? order_percentile(v, (size_t)n, 0.5) : 0.5 * job->w->frame.dims[0];
         double px = 0.5 / p->cam.fx, half = 0.5 * p->w / p->cam.fx;
         for (int j = 0; j < 3; j++) { q.step[j] = px; q.step[3 + j] = px * depth; }
         q.step[5] /= half;                      /* forward, the picture moves less, */

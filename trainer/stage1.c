@@ -174,6 +174,7 @@ void stage1_freeze(stage1 *s)
     grid_freeze(&s->codes);
     grid_freeze(&s->transient);
     grid_free(&s->hull);
+    grid_free(&s->fused);
     s->st = NULL;
 }
 

@@ -61,6 +61,11 @@ int world_project(const world_photo *p, const float x[3], double uv[2], double *
     return orl_camera_project(&p->cam, c, uv);
 }
 
+int world_sees(const world_photo *p, const float x[3], double uv[2], double *depth)
+{
+    return world_project(p, x, uv, depth) && uv[0] >= 0 && uv[1] >= 0 && uv[0] < p->w && uv[1] < p->h;
+}
+
 orl_err world_photo_fill(world_photo *p, int w, int h, const uint8_t *rgb, const uint8_t *sky, int packed)
 {
     size_t n = (size_t)w * (size_t)h;

@@ -65,6 +65,8 @@ void frame_view(const frame *f, const orl_camera *cam, const orl_pose *pose, wor
 void world_ray(const world_photo *p, double u, double v, float dir[3]);
 /* Projects a grid point; 0 if behind. depth (may be NULL) in fine cells along the optical axis. */
 int  world_project(const world_photo *p, const float x[3], double uv[2], double *depth);
+/* The same; 0 outside the picture, too. */
+int  world_sees(const world_photo *p, const float x[3], double uv[2], double *depth);
 /* Pixel (x, y), sRGB. */
 static inline void world_rgb(const world_photo *p, int x, int y, uint8_t rgb[3])
 {
