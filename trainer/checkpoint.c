@@ -47,6 +47,8 @@ orl_err checkpoint_load_sky(world *w, FILE *f, const char *path)
     return ORL_OK;
 }
 
+#define MAGIC "ORLCKPT5"         /* a new number whenever what a checkpoint holds, or how grids lay it out, changes */
+
 /* CRC of header and of what follows it in f. */
 static int checksum(const checkpoint_header *h, FILE *f, uint32_t *crc)
 {
@@ -66,7 +68,7 @@ orl_err checkpoint_save(const char *path, const checkpoint_header *h, const chec
     FILE *f = fopen(tmp, "w+b");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", tmp, strerror(errno));
     checkpoint_header head = *h;
-    memcpy(head.magic, "ORLCKPT5", 8);
+    memcpy(head.magic, MAGIC, 8);
     orl_err e = fwrite(&head, sizeof head, 1, f) == 1 ? ORL_OK : ORL_E_IO;
     if (!e && h->phase == 0) e = stereo_work_save(p->maps, f);
     if (!e && h->phase == 1) e = stereo_save(p->st, f);
@@ -129,7 +131,7 @@ orl_err checkpoint_peek(const char *path, checkpoint_header *h, FILE **out)
     FILE *f = fopen(path, "rb");
     if (!f) return orl_fail(ORL_E_IO, "%s: %s", path, strerror(errno));
     checkpoint_header head;
-    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, "ORLCKPT5", 8) || !within(&head)) {
+    if (fread(&head, sizeof head, 1, f) != 1 || memcmp(head.magic, MAGIC, 8) || !within(&head)) {
         fclose(f);
         return orl_fail(ORL_E_FORMAT, "%s: not a checkpoint of this version", path);
     }
