@@ -150,28 +150,42 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
 
 #define SPAN 6.0f               /* fine cells: what is nearer to a stereo point's plane is measured, what is farther before it is free */
 #define THICK 4.0f              /* fine cells behind a stereo point that are solid, less and less surely: a column hides more than it fills */
+#define SAY_MEASURED 1.5f       /* times the point's weight */
 #define SAY_SKY 0.7f
 #define SAY_BEHIND 0.004f
 #define SAY_GROUND 0.5f
 
 typedef struct { const world *w; const stereo *st; const int *voter; int voters; const depth_map *maps; uint32_t **hits; int cell, n[3]; float *field; } carve_job;    /* maps and hits: of each voter */
 
-static void say(float weight, float distance, float sum[2])
+/* Votes by distance, in half cells. Their weighted median and not their mean decides: a photo that sees past a voxel says SPAN, one that measured a thin thing in it little less than nothing, and a mean would leave
+ * nothing standing before a far wall. */
+enum { TALLY_MID = 2 * (int)SPAN, TALLY = 2 * TALLY_MID + 1 };
+
+static void say(float weight, float distance, float tally[TALLY])
 {
-    sum[0] += weight * fminf(fmaxf(distance, -SPAN), SPAN);
-    sum[1] += weight;
+    tally[(int)((fminf(fmaxf(distance, -SPAN), SPAN) + SPAN) * 2 + 0.5f)] += weight;
 }
 
-/* What a voter says of a voxel: adds distance times weight, positive for free, and weight. measured: guesses from neighbouring pixels do not count. */
-static void vote(const carve_job *j, int k, const float g[3], int measured, float sum[2])
+static float verdict(const float tally[TALLY])
+{
+    float half = 0, below = 0;
+    int b = 0;
+    for (int i = 0; i < TALLY; i++) half += 0.5f * tally[i];
+    if (!(half > 0)) return SPAN;
+    while (b < TALLY - 1 && below + tally[b] < half) below += tally[b++];
+    return 0.5f * ((float)(b - TALLY_MID) - 0.5f + fminf((half - below) / fmaxf(tally[b], 1e-9f), 1));
+}
+
+/* What a voter says of a voxel: a distance, positive for free, and its weight. measured: guesses from neighbouring pixels do not count. */
+static void vote(const carve_job *j, int k, const float g[3], int measured, float tally[TALLY])
 {
     const world_photo *p = &j->w->photos[j->voter[k]];
     double uv[2], depth;
     float away2 = 0;
     for (int a = 0; a < 3; a++) away2 += (g[a] - (float)p->centre[a]) * (g[a] - (float)p->centre[a]);
-    if (away2 < 4.0f * (float)(j->cell * j->cell)) { say(100, SPAN, sum); return; }
+    if (away2 < 4.0f * (float)(j->cell * j->cell)) { say(100, SPAN, tally); return; }
     if (!world_sees(p, g, uv, &depth)) return;
-    if (world_label(p, (int)uv[0], (int)uv[1]) == WORLD_SKY) { say(SAY_SKY, SPAN, sum); return; }
+    if (world_label(p, (int)uv[0], (int)uv[1]) == WORLD_SKY) { say(SAY_SKY, SPAN, tally); return; }
     uint32_t hit = j->hits[k] ? j->hits[k][(int)uv[1] / 2 * (p->w / 2 + 1) + (int)uv[0] / 2] : 0;
     if (hit) {
         const stereo_point *q = &j->st->points[hit - 1];
@@ -182,8 +196,8 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
             before2 += d[a] * d[a];
         }
         float behind = sqrtf(away2) - sqrtf(before2);
-        if (behind > THICK) say(SAY_BEHIND, -SPAN, sum);
-        else say(q->weight * fminf(1, 2 - 2 * behind / THICK), behind < -2 * SPAN ? SPAN : f, sum);
+        if (behind > THICK) say(SAY_BEHIND, -SPAN, tally);
+        else say(SAY_MEASURED * q->weight * fminf(1, 2 - 2 * behind / THICK), behind < -2 * SPAN ? SPAN : f, tally);
         return;
     }
     const depth_map *m = &j->maps[k];
@@ -191,8 +205,8 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
     if (measured || m->inv[my][mx] <= 0) return;
     /* Carried depth says what is free, not what is solid: the farther it came, the less it says and the farther from it a voxel must be. */
     static const float SAY[LEVELS] = { 0.3f, 0.2f, 0.1f, 0.06f, 0.04f, 0.03f, 0.02f, 0.02f }, NEAR[LEVELS] = { 0.985f, 0.985f, 0.98f, 0.97f, 0.93f, 0.88f, 0.8f, 0.8f };
-    if ((float)depth < NEAR[level] / m->inv[my][mx] - (float)j->cell) say(SAY[level], SPAN, sum);
-    else say(SAY_BEHIND, -SPAN, sum);
+    if ((float)depth < NEAR[level] / m->inv[my][mx] - (float)j->cell) say(SAY[level], SPAN, tally);
+    else say(SAY_BEHIND, -SPAN, tally);
 }
 
 static void carve_range(void *user, int begin, int end)
@@ -202,10 +216,10 @@ static void carve_range(void *user, int begin, int end)
         for (int y = 0; y < j->n[1]; y++)
             for (int x = 0; x < j->n[0]; x++) {
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
-                float over = g[2] - frame_ground_height(&j->w->frame, g), sum[2] = { 0, 0 };
-                if (over < SPAN) say(SAY_GROUND, over, sum);
-                for (int k = 0; k < j->voters; k++) vote(j, k, g, over < 0, sum);
-                j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = sum[1] > 0 ? sum[0] / sum[1] : SPAN;
+                float over = g[2] - frame_ground_height(&j->w->frame, g), tally[TALLY] = { 0 };
+                if (over < SPAN) say(SAY_GROUND, over, tally);
+                for (int k = 0; k < j->voters; k++) vote(j, k, g, over < 0, tally);
+                j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = verdict(tally);
             }
 }
 
