@@ -1,6 +1,6 @@
 /* Silhouettes: what a photo sees as sky is free, and so is a ball around it (surface.h).
  * A vertex that projects into a photo's sky, r pixels from the nearest pixel that is none, has no surface within r pixels times its depth over the focal length: a lower bound on its signed distance. Masks err,
- * so the bound that counts is one that one other photo or more exceeds. */
+ * so the bound that counts in full is one that one other photo or more exceeds; a photo alone may take off no more than a skin. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,6 +9,7 @@
 
 enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = 6 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
 #define BAND 3.0f               /* fine cells: bounds are cut here, and what is deeper inside stays */
+#define SKIN 2.0f               /* fine cells */
 
 typedef struct { const world_photo *p; int w, h, side; uint8_t *far; } sky_map;     /* far: pixels of the photo to the next one that is no sky, times UNIT; each entry stands for side x side of them */
 typedef struct { surface *s; sky_map *map; int voters, failed; } trim_job;
@@ -44,8 +45,8 @@ static void map_range(void *user, int begin, int end)
     }
 }
 
-/* The lower bound that enough photos give; 0: none. */
-static float bound_at(const trim_job *j, const float x[3])
+/* The lower bounds that enough photos give and that half as many do; 0: none. */
+static void bounds_at(const trim_job *j, const float x[3], float *sure, float *maybe)
 {
     float best[MOST_NEED] = { 0 };
     int inside = 0;
@@ -59,8 +60,9 @@ static float bound_at(const trim_job *j, const float x[3])
         float b = ((float)m->far[(size_t)v * (size_t)m->w + (size_t)u] / UNIT - 0.5f * (float)m->side) * (float)(z / m->p->cam.fx);
         for (int i = 0; i < MOST_NEED && b > 0; i++) if (b > best[i]) { float t = best[i]; best[i] = b; b = t; }
     }
-    int more = 1 + inside / SHARE;
-    return best[more < MOST_NEED ? more : MOST_NEED - 1];
+    int more = 1 + inside / SHARE, half = inside / (2 * SHARE);
+    *sure = best[more < MOST_NEED ? more : MOST_NEED - 1];
+    *maybe = best[half < MOST_NEED ? half : MOST_NEED - 1];
 }
 
 static void trim_range(void *user, int begin, int end)
@@ -73,7 +75,11 @@ static void trim_range(void *user, int begin, int end)
         int bx = at % s->nb[0], by = at / s->nb[0] % s->nb[1], bz = at / s->nb[0] / s->nb[1];
         for (int i = 0; i < ORL_BRICK_VERTS; i++) {
             float x[3] = { (float)(8 * bx + i % 9), (float)(8 * by + i / 9 % 9), (float)(8 * bz + i / 81) };
-            float b = fabsf(v[i]) < BAND ? bound_at(j, x) : 0;
+            float sure, maybe;
+            if (!(fabsf(v[i]) < BAND)) continue;
+            bounds_at(j, x, &sure, &maybe);
+            if (v[i] < -SKIN) maybe = 0;
+            float b = fmaxf(sure, maybe);
             if (b > v[i] && b > 0) v[i] = fminf(b, BAND);
         }
     }

@@ -88,7 +88,7 @@ static float cameras_over(const world *w, const frame *g)
  * small). Without such points, a little below the lower photographers. */
 static frame ground_find(const world *w, const stereo *st)
 {
-    enum { BINS = 160 };
+    enum { BINS = 160, ROUNDS = 12 };
     const int *dims = w->frame.dims;
     float share[BINS + 1] = { 0 }, most = 0, bin = (float)dims[2] / BINS, heads = w->frame.ground[0];
     float *z = malloc((size_t)w->nphotos * sizeof *z);
@@ -113,11 +113,11 @@ static frame ground_find(const world *w, const stereo *st)
     if (most < 200) return guess;
     g.ground[0] = (float)level * bin;
     g.ground[1] = g.ground[2] = 0;
-    for (int round = 0; round < 8; round++) {   /* reweighted least squares */
-        double a = 0, b = 0, c = 0, d = 0, e = 0, f = 0, r0 = 0, r1 = 0, r2 = 0, mx = 0.5 * dims[0], my = 0.5 * dims[1], tilt = 0.15 * dims[0] * 0.15 * dims[0];
+    for (int round = 0; round < ROUNDS; round++) {   /* least squares, reweighted ever more narrowly: steps and kerbs must not tilt it */
+        double a = 0, b = 0, c = 0, d = 0, e = 0, f = 0, r0 = 0, r1 = 0, r2 = 0, mx = 0.5 * dims[0], my = 0.5 * dims[1], tilt = 0.02 * dims[0] * 0.02 * dims[0], scale = bin / (1 + 3.0 * round / (ROUNDS - 1));
         for (uint32_t i = 0; i < st->npoints; i++) {
             const stereo_point *q = &st->points[i];
-            double r = (q->x[2] - frame_ground_height(&g, q->x)) / bin, k = q->weight / ((1 + r * r) * (1 + r * r)), x = q->x[0] - mx, y = q->x[1] - my;
+            double r = (q->x[2] - frame_ground_height(&g, q->x)) / scale, k = q->weight / ((1 + r * r) * (1 + r * r)), x = q->x[0] - mx, y = q->x[1] - my;
             if (q->n[2] < 0.85f || r * r > 4) continue;
             a += k; b += k * x; c += k * y; d += k * (x * x + tilt); e += k * x * y; f += k * (y * y + tilt);
             r0 += k * q->x[2]; r1 += k * x * q->x[2]; r2 += k * y * q->x[2];
@@ -148,14 +148,15 @@ static uint32_t *hits_make(const world *w, const stereo *st, int k)
     return hit;
 }
 
-#define SPAN 6.0f               /* fine cells: what is nearer to a stereo point's plane is measured, what is farther before it is free */
-#define THICK 4.0f              /* fine cells behind a stereo point that are solid, less and less surely: a column hides more than it fills */
+/* Lengths in fine cells, up to 512 along the place; with more, as much of the place (carve_job.unit). */
+#define SPAN 6.0f               /* what is nearer to a stereo point's plane is measured, what is farther before it is free */
+#define THICK 4.0f              /* behind a stereo point it is solid, less and less surely: a column hides more than it fills */
 #define SAY_MEASURED 1.5f       /* times the point's weight */
 #define SAY_SKY 0.7f
 #define SAY_BEHIND 0.004f
 #define SAY_GROUND 0.5f
 
-typedef struct { const world *w; const stereo *st; const int *voter; int voters; const depth_map *maps; uint32_t **hits; int cell, n[3]; float *field; } carve_job;    /* maps and hits: of each voter */
+typedef struct { const world *w; const stereo *st; const int *voter; int voters; const depth_map *maps; uint32_t **hits; int cell, n[3]; float unit, *field; } carve_job;     /* maps and hits: of each voter; unit: fine cells */
 
 /* Votes by distance, in half cells. Their weighted median and not their mean decides: a photo that sees past a voxel says SPAN, one that measured a thin thing in it little less than nothing, and a mean would leave
  * nothing standing before a far wall. */
@@ -195,9 +196,9 @@ static void vote(const carve_job *j, int k, const float g[3], int measured, floa
             d[a] = q->x[a] - (float)p->centre[a];
             before2 += d[a] * d[a];
         }
-        float behind = sqrtf(away2) - sqrtf(before2);
+        float behind = (sqrtf(away2) - sqrtf(before2)) / j->unit;
         if (behind > THICK) say(SAY_BEHIND, -SPAN, tally);
-        else say(SAY_MEASURED * q->weight * fminf(1, 2 - 2 * behind / THICK), behind < -2 * SPAN ? SPAN : f, tally);
+        else say(SAY_MEASURED * q->weight * fminf(1, 2 - 2 * behind / THICK), behind < -2 * SPAN ? SPAN : f / j->unit, tally);
         return;
     }
     const depth_map *m = &j->maps[k];
@@ -216,10 +217,10 @@ static void carve_range(void *user, int begin, int end)
         for (int y = 0; y < j->n[1]; y++)
             for (int x = 0; x < j->n[0]; x++) {
                 float g[3] = { (float)(x * j->cell), (float)(y * j->cell), (float)(z * j->cell) };
-                float over = g[2] - frame_ground_height(&j->w->frame, g), tally[TALLY] = { 0 };
+                float over = (g[2] - frame_ground_height(&j->w->frame, g)) / j->unit, tally[TALLY] = { 0 };
                 if (over < SPAN) say(SAY_GROUND, over, tally);
                 for (int k = 0; k < j->voters; k++) vote(j, k, g, over < 0, tally);
-                j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = verdict(tally);
+                j->field[((size_t)z * (size_t)j->n[1] + (size_t)y) * (size_t)j->n[0] + (size_t)x] = verdict(tally) * j->unit;
             }
 }
 
@@ -288,7 +289,7 @@ static void smooth(float *f, float *tmp, const int n[3])
 
 orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sdf)
 {
-    carve_job j = { .w = w, .st = st, .cell = cell };
+    carve_job j = { .w = w, .st = st, .cell = cell, .unit = fmaxf(1, (float)w->longest / 512) };
     w->frame = ground_find(w, st);
     for (int a = 0; a < 3; a++) j.n[a] = w->frame.dims[a] / cell + 1;
     size_t total = (size_t)j.n[0] * (size_t)j.n[1] * (size_t)j.n[2];
@@ -315,7 +316,7 @@ orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sd
     if ((e = edt(out, j.n)) || (e = edt(in, j.n))) goto done;
     for (size_t i = 0; i < total; i++) {
         float a = fminf(sqrtf(out[i]), 64.0f), b = fminf(sqrtf(in[i]), 64.0f), d = (j.field[i] < 0 ? 0.5f - b : a - 0.5f) * (float)cell, f = j.field[i];
-        float near = fminf(fmaxf(1.5f - 0.5f * fabsf(d) / (float)cell, 0), 1) * fminf(fmaxf(3 - 4 * fabsf(f) / SPAN, 0), 1);   /* the vote itself is finer than the lattice */
+        float near = fminf(fmaxf(1.5f - 0.5f * fabsf(d) / (float)cell, 0), 1) * fminf(fmaxf(3 - 4 * fabsf(f) / (SPAN * j.unit), 0), 1);   /* the vote itself is finer than the lattice */
         out[i] = d + near * (f - d);
     }
     for (int round = 0; round < 2; round++) smooth(out, in, j.n);

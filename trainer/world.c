@@ -308,7 +308,7 @@ static void load_range(void *user, int begin, int end)
 
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out)
 {
-    world w = { 0 };
+    world w = { .longest = longest };
     reach pts;
     orl_err e = reach_find(d, &pts) ? place(d, &pts, longest, &w.frame) : orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir);
     if (e) { free(pts.x); free(pts.where); return e; }

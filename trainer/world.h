@@ -39,7 +39,7 @@ typedef struct { float x[3]; float weight; } world_point;       /* grid frame; w
 
 typedef struct {
     char title[64];
-    frame frame;
+    frame frame; int longest;       /* fine cells along the place's longest side; the box may be longer: photographers stand in it */
     world_photo *photos; int nphotos;
     world_obs *obs; uint32_t nobs;
     world_point *points; uint32_t npoints;
