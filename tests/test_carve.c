@@ -1,4 +1,4 @@
-/* Silhouettes: a ball learned too fat gets its size back from the sky around it, and one photo's bad mask changes nothing. */
+/* Silhouettes: a ball learned too fat gets its size back from the sky around it, and one photo's bad mask takes off no more than a skin. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -84,8 +84,8 @@ static void fat_ball_gets_its_size_back(void **state)
     }
 }
 
-/* A single photo, or one without sky, says nothing. */
-static void too_few_change_nothing(void **state)
+/* A single photo takes off a skin, photos without sky nothing. */
+static void few_change_little(void **state)
 {
     (void)state;
     world w;
@@ -95,8 +95,14 @@ static void too_few_change_nothing(void **state)
     int all = w.nphotos;
     w.nphotos = 1;
     assert_int_equal(surface_carve(&s, &w, 1), ORL_OK);
-    assert_memory_equal(s.sdf, was.sdf, sizeof *s.sdf * s.nbricks * ORL_BRICK_VERTS);
+    int thinner = 0;
+    for (size_t i = 0; i < (size_t)s.nbricks * ORL_BRICK_VERTS; i++) {
+        assert_true(s.sdf[i] >= was.sdf[i] && s.sdf[i] <= was.sdf[i] + 2.001f);
+        thinner += s.sdf[i] > was.sdf[i];
+    }
+    assert_true(thinner > 0);
     w.nphotos = all;
+    memcpy(s.sdf, was.sdf, sizeof *s.sdf * s.nbricks * ORL_BRICK_VERTS);
     for (int k = 0; k < VIEWS; k++) for (int i = 0; i < W * W; i++) world_set_label(&w.photos[k], i % W, i / W, WORLD_SCENE);
     assert_int_equal(surface_carve(&s, &w, 1), ORL_OK);
     assert_memory_equal(s.sdf, was.sdf, sizeof *s.sdf * s.nbricks * ORL_BRICK_VERTS);
@@ -107,6 +113,6 @@ static void too_few_change_nothing(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(too_few_change_nothing) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(few_change_little) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -78,9 +78,9 @@ static void trim_range(void *user, int begin, int end)
             float sure, maybe;
             if (!(fabsf(v[i]) < BAND)) continue;
             bounds_at(j, x, &sure, &maybe);
-            if (v[i] < -SKIN) maybe = 0;
-            float b = fmaxf(sure, maybe);
-            if (b > v[i] && b > 0) v[i] = fminf(b, BAND);
+            float b = maybe > 0 ? fminf(maybe, v[i] + SKIN) : v[i];
+            if (sure > b && sure > 0) b = sure;
+            if (b > v[i]) v[i] = fminf(b, BAND);
         }
     }
 }
