@@ -4,7 +4,8 @@
  *   features = encoding(x);  (log density, 15 features) = base(features);  c = colour(features, appearance);  (sigma_t, c_t, beta) = transient(features, transient code)
  *   T_k = exp(-sum_{j<k} (sigma_j + sigma_tj) delta_j),  alpha = 1 - exp(-sigma delta)
  *   C = sum_k T_k (alpha_k c_k + alpha_tk c_tk) + T_end sky(direction, appearance),  beta = beta_min + sum_k T_k alpha_tk beta_k
- * Loss, scaled by 2 beta_min^2 as in stage 1: |C - C*|^2 beta_min^2 / beta^2 + 2 beta_min^2 ln beta + transient optical depth + sky label against the static weight + distortion (mip-NeRF 360).
+ * Loss, scaled by 2 beta_min^2 as in stage 1: |C - C*|^2 beta_min^2 / beta^2 + 2 beta_min^2 ln beta + transient optical depth + sky label against the static weight + distortion (mip-NeRF 360)
+ * + SfM points, which stage 1 has too: a share of the rays go through them, and weight w_k at t_k far from the point's t costs 1 - 1 / (1 + ((t_k - t) / s)^2) (after Deng et al. 2022).
  * Samples behind a static transmittance of 1e-3 are dropped before the heads. */
 #include "trainer/nerfw.h"
 #include <math.h>
@@ -12,11 +13,13 @@
 #include <string.h>
 #include "oriel/parallel.h"
 
-enum { SAMPLES = 24, VIEW_SAMPLES = 32, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 2048 };
+enum { SAMPLES = 24, VIEW_SAMPLES = 32, RAYS = 32, POINT_RAYS = 4, ROWS = RAYS * VIEW_SAMPLES, MAX_MARCH = 1024, HEAD = 32, OUT = 16, UPDATE = 2048 };
 #define BETA_MIN 0.06f
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_TRANSIENT 0.012f
 #define LAMBDA_DISTORTION 0.01f
+#define LAMBDA_POINT 0.05f
+#define POINT_SPREAD 3.0f           /* fine cells */
 #define LAMBDA_CODE 1e-4f
 #define UNIFORM 0.15f               /* share of samples that ignores the density grid */
 #define PRIOR 1e-4f                 /* pull of a new photo's code to the training photos', a standard deviation off against the robust squared error */
@@ -25,7 +28,7 @@ enum { SAMPLES = 24, VIEW_SAMPLES = 32, RAYS = 32, ROWS = RAYS * VIEW_SAMPLES, M
 
 typedef struct {
     int photo, px, py, first, n, head, m;   /* samples: rows [first, first + n) of the desk; heads: rows [head, head + m) */
-    float o[3], d[3];
+    float o[3], d[3], to, sure;              /* to: distance of the SfM point that it goes through, and its weight; 0: none */
 } ray;
 
 struct nerfw_desk {
@@ -273,7 +276,7 @@ static void colours(const nerfw *n, nerfw_desk *d, int rows)
 
 /* ---- training ---- */
 
-static void pick_ray(const nerfw *n, ray *r, rng *g)
+static void pick_ray(const nerfw *n, ray *r, int through_point, rng *g)
 {
     const world *w = n->w;
     r->photo = (int)rng_below(g, (uint32_t)w->nphotos);
@@ -284,7 +287,17 @@ static void pick_ray(const nerfw *n, ray *r, rng *g)
         if (world_label(p, r->px, r->py) != WORLD_SKY || !(rng_u32(g) & 1)) break;
     }
     for (int a = 0; a < 3; a++) r->o[a] = (float)p->centre[a];
+    r->to = r->sure = 0;
     world_ray(p, r->px + 0.5, r->py + 0.5, r->d);
+    if (!through_point || !p->obs_count) return;
+    const world_obs *q = &w->obs[p->obs_begin + rng_below(g, p->obs_count)];
+    if (!(q->u >= 0) || !(q->v >= 0) || q->u >= (float)p->w || q->v >= (float)p->h) return;
+    const float *x = w->points[q->point].x;
+    r->px = (int)q->u;
+    r->py = (int)q->v;
+    r->sure = w->points[q->point].weight;
+    world_ray(p, q->u, q->v, r->d);
+    for (int a = 0; a < 3; a++) r->to += (x[a] - r->o[a]) * r->d[a];
 }
 
 /* Loss of one ray and its gradients into the desk's rows. Rows of the heads hold colours by now, trans rows (density, r, g, b, beta, its slope). */
@@ -355,6 +368,11 @@ static void ray_loss(nerfw *n, nerfw_desk *d, int k, int with_transient)
     }
     loss += LAMBDA_DISTORTION * distortion;
     L->distortion += distortion;
+    for (int i = 0; i < m && r->to > 0; i++) {
+        float off = (d->t[r->first + i] - r->to) / POINT_SPREAD, gain = LAMBDA_POINT * r->sure / (1 + off * off);
+        loss -= own[i] * gain;
+        dd[i] -= gain;
+    }
     L->total += loss;
     for (int a = 0; a < 3; a++) dC[a] *= 2 * scale;
 
@@ -399,7 +417,7 @@ static void train_chunk(nerfw *n, int thread, int rays, float progress, rng *g)
     float uniform = UNIFORM + expf(-10 * progress);     /* at first the density grid knows nothing */
     for (int k = 0; k < rays; k++) {
         ray *r = &d->ray[k];
-        pick_ray(n, r, g);
+        pick_ray(n, r, k < POINT_RAYS, g);
         r->first = rows;
         ray_sample(n, d, r, SAMPLES, uniform, g);
         rows += r->n;

@@ -11,14 +11,17 @@
 #include "oriel/parallel.h"
 #include "trainer/order.h"
 
-enum { STRIDE = 8, COMPANIONS = 48, FEW = 3, REACH = 2, SFM_REACH = 3, SWEEPS = 100 };
+enum { STRIDE = 8, COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 100 };
 #define FLOOR 0.02f             /* of a residual's noise */
-#define UNSEEN 0.05f            /* noise where too few others look */
-#define EVEN 2.25f              /* evidence that speaks neither way, in noises */
-#define FOUND 3.0f              /* what an SfM point takes off the evidence */
-#define LAMBDA 0.006f
-#define EDGE 0.04f              /* colour step that halves the flow */
-#define CUT -0.32f
+#define UNSEEN 0.08f            /* noise where too few others look */
+#define EVEN 2.0f               /* evidence that speaks neither way, in noises */
+#define FOUND 5.0f              /* what an SfM point takes off the evidence */
+#define LAMBDA 0.0015f
+#define EDGE 0.048f             /* colour step that halves the flow */
+#define CUT -0.28f
+#define USUAL 0.028f            /* the photo's own median residual counts beyond this */
+#define PLAIN 0.75f             /* of the ground's usual distance from common ground: what counts as ground */
+#define OVER 0.9f               /* light may be stronger than the model's by this share of the step from shadow to sun */
 
 typedef uint8_t colour[3];
 /* t: along the ray, 0 = nothing met; the photo; the model as fitted, in full sun, in shadow; how far the photo is from common ground there. */
@@ -39,7 +42,7 @@ static float middle(float *v, int n)
 
 static void put_colour(const float rgb[3], colour out) { for (int a = 0; a < 3; a++) out[a] = (uint8_t)(fminf(fmaxf(rgb[a], 0), 1) * 255 + 0.5f); }
 
-/* Distance of c from the segment a .. b, moved by off; all in 0..1. */
+/* Distance of c from the line from a to b, and OVER of it beyond b, moved by off; all in 0..1. */
 static float off_line(const colour c, const colour a, const colour b, const float off[3])
 {
     float d[3], e[3], dd = 0, de = 0, r = 0;
@@ -49,7 +52,7 @@ static float off_line(const colour c, const colour a, const colour b, const floa
         dd += d[k] * d[k];
         de += d[k] * e[k];
     }
-    float t = dd > 1e-8f ? fminf(fmaxf(de / dd, 0), 1) : 0;
+    float t = dd > 1e-8f ? fminf(fmaxf(de / dd, 0), 1 + OVER) : 0;
     for (int k = 0; k < 3; k++) r += (e[k] - t * d[k]) * (e[k] - t * d[k]);
     return sqrtf(r);
 }
@@ -97,10 +100,11 @@ static void render_range(void *user, int begin, int end)
             for (int a = 0; a < 3; a++) q->rgb[i][a] = (uint8_t)((sum[a] + 2) / (TRANSIENT_HALF * TRANSIENT_HALF));
             world_ray(p, x + 0.5 * TRANSIENT_HALF, y + 0.5 * TRANSIENT_HALF, d);
             memset(&s, 0, sizeof s);
-            if (surface_march(j->s2->surf, o, d, &h)) {
-                q->t[i] = fmaxf(h.t, 1e-3f);
-                stage2_surface_sample(j->s2, h.x, h.n, &s);
-            }
+            int met = surface_march(j->s2->surf, o, d, &h);
+            int ground = !met && world_label(p, x + TRANSIENT_HALF / 2, y + TRANSIENT_HALF / 2) != WORLD_SKY && surface_ground(j->s2->surf, o, d, &h);
+            if (met) stage2_surface_sample(j->s2, h.x, h.n, &s);
+            else if (ground) stage2_ground_sample(j->s2, h.x, &s);
+            if (met || ground) q->t[i] = fmaxf(h.t, 1e-3f);
             memcpy(s.dir, d, sizeof d);
             orl_light_shade(l, &s, rgb);
             put_colour(rgb, q->fit[i]);
@@ -214,7 +218,7 @@ static void evidence(const job *j, int k, scratch *s)
             }
         bare[i] = (float)q->bare[i] / 255;
     }
-    float usual = median_where(s, n, s->e, s->others, FEW) - 0.02f, plain = 1.5f * median_where(s, n, bare, s->ground, 1);
+    float usual = median_where(s, n, s->e, s->others, FEW) - USUAL, plain = PLAIN * median_where(s, n, bare, s->ground, 1);
     memset(s->sfm, 0, (size_t)n);
     for (uint32_t i = 0; i < p->obs_count; i++) {
         const world_obs *o = &j->w->obs[p->obs_begin + i];
@@ -226,7 +230,7 @@ static void evidence(const job *j, int k, scratch *s)
     for (int i = 0; i < n; i++) {
         float e = s->others[i] >= FEW || !(q->t[i] > 0) ? s->e[i] / (FLOOR + s->noise[i] + usual) : (s->ground[i] ? fmaxf(bare[i] - plain, 0) : s->e[i]) / (FLOOR + UNSEEN);
         if (world_label(p, i % q->w * TRANSIENT_HALF + TRANSIENT_HALF / 2, i / q->w * TRANSIENT_HALF + TRANSIENT_HALF / 2) == WORLD_SKY) { s->e[i] = -2; continue; }
-        e = fminf(fmaxf((e - EVEN) / EVEN, -0.5f), 2.5f);
+        e = fminf(fmaxf((e - EVEN) / EVEN, -0.5f), 2.1f);
         if (s->sfm[i]) e -= FOUND;
         s->e[i] = e;
     }
