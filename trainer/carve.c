@@ -7,7 +7,7 @@
 #include "oriel/parallel.h"
 #include "trainer/surface.h"
 
-enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = 6 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
+enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = VOTERS / SHARE + 2 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
 #define BAND 3.0f               /* fine cells: bounds are cut here, and what is deeper inside stays */
 #define SKIN 2.0f               /* fine cells */
 
@@ -60,9 +60,8 @@ static void bounds_at(const trim_job *j, const float x[3], float *sure, float *m
         float b = ((float)m->far[(size_t)v * (size_t)m->w + (size_t)u] / UNIT - 0.5f * (float)m->side) * (float)(z / m->p->cam.fx);
         for (int i = 0; i < MOST_NEED && b > 0; i++) if (b > best[i]) { float t = best[i]; best[i] = b; b = t; }
     }
-    int more = 1 + inside / SHARE, half = inside / (2 * SHARE);
-    *sure = best[more < MOST_NEED ? more : MOST_NEED - 1];
-    *maybe = best[half < MOST_NEED ? half : MOST_NEED - 1];
+    *sure = best[1 + inside / SHARE];
+    *maybe = best[inside / (2 * SHARE)];
 }
 
 static void trim_range(void *user, int begin, int end)
