@@ -59,10 +59,12 @@ $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
 $B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a) $B/liboriel.a
 	@mkdir -p $(@D)
 	$(if $(filter host,$(BOARD)),$(CXX) $(LINK) -Wl$(,)--as-needed -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(MPI_LIBS),$(CC) $(LINK) -o $@ $^) $(LIBS)
-$B/obj/%.o: %.c
+# what was compiled before a library arrived is compiled again
+$(shell mkdir -p $B && echo '$(CC) $(FLAGS) $(TRAIN_ARCH)' | cmp -s - $B/flags || echo '$(CC) $(FLAGS) $(TRAIN_ARCH)' > $B/flags)
+$B/obj/%.o: %.c $B/flags
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<
-$B/obj/%.o: %.cpp
+$B/obj/%.o: %.cpp $B/flags
 	@mkdir -p $(@D)
 	$(CXX) -std=c++17 $(FLAGS) $(ISA) -c -o $@ $<
 $B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
