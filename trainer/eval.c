@@ -480,13 +480,36 @@ static orl_err sky_by_masks(const orl_dataset *d, const orl_scene *s, int thread
     return e;
 }
 
-/* depth_median_rel: |z - truth| / truth where both see surface; normal_mean_deg there; sky_covered: share of the true sky's pixels that
- * the scene covers. All test photos together, full size. */
-static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threads, figure out[3])
+/* World units a metre: gt/world.tsv says so where the model is not in metres. */
+static orl_err unit_of_metre(const orl_dataset *d, double *unit)
 {
-    double R[9], angle = 0, *rel = NULL;
-    size_t n = 0, cap = 0, sky = 0, covered = 0;
-    orl_err e = ORL_OK;
+    char path[2048], *text;
+    uint8_t *bytes;
+    size_t n;
+    *unit = 1;
+    snprintf(path, sizeof path, "%s/gt/world.tsv", d->dir);
+    if (access(path, R_OK)) return ORL_OK;
+    orl_err e = orl_file_read(path, 1 << 16, &bytes, &n);
+    if (e) return e;
+    text = realloc(bytes, n + 1);
+    if (!text) { free(bytes); return orl_fail(ORL_E_MEMORY, "%s: no memory", path); }
+    text[n] = 0;
+    const char *at = strstr(text, "\nscale\t");
+    if (at) *unit = strtod(at + 7, NULL);
+    free(text);
+    return *unit > 0 && isfinite(*unit) ? ORL_OK : orl_fail(ORL_E_RANGE, "%s: scale is no positive number", path);
+}
+
+#define NEAR_METRES 80.0        /* beyond it a place's own detail is no matter */
+
+/* depth_median_rel: |z - truth| / truth where both see surface and the truth is near; normal_mean_deg there; both with _all over all distances; scene_missed: share of near pixels where the scene has no surface;
+ * sky_covered: share of the true sky's pixels that the scene covers. All test photos together, full size. */
+enum { DEPTH_FIGURES = 6 };
+static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threads, figure out[DEPTH_FIGURES])
+{
+    double R[9], unit, angle[2] = { 0 }, *rel[2] = { NULL, NULL };      /* near, all */
+    size_t n[2] = { 0 }, cap = 0, sky = 0, covered = 0, near = 0;
+    orl_err e = unit_of_metre(d, &unit);
     scene_rotation(s, R);
     for (uint32_t i = 0; !e && i < d->nphotos; i++) {
         const orl_photo *p = &d->photos[i];
@@ -498,44 +521,55 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
         e = read_truth(d, p, "depth", "Y", &z);
         if (!e) e = read_truth(d, p, "normal", "RGB", &nm);
         if (!e) e = open_view(s, &p->cam, &p->pose, 2, threads, &v, &mem);
-        if (!e && n + pixels > cap) {
-            double *more = realloc(rel, (cap = 2 * (n + pixels)) * sizeof *rel);
-            if (more) rel = more;
-            else e = orl_fail(ORL_E_MEMORY, "eval: no memory for %zu depths", cap);
+        if (!e && n[1] + pixels > cap) {
+            cap = 2 * (n[1] + pixels);
+            for (int k = 0; !e && k < 2; k++) {
+                double *more = realloc(rel[k], cap * sizeof *more);
+                if (more) rel[k] = more;
+                else e = orl_fail(ORL_E_MEMORY, "eval: no memory for %zu depths", cap);
+            }
         }
         for (int y = 0; !e && y < v.h; y++)
             for (int x = 0; x < v.w; x++) {
                 size_t at = (size_t)y * (size_t)v.w + (size_t)x, own = (size_t)y * (size_t)v.stride + (size_t)x;
-                int hit = v.cov[own] >= 128 && v.depth[own] != 65535;
+                int hit = v.cov[own] >= 128 && v.depth[own] != 65535, close = z.px[at] < NEAR_METRES;
                 if (!(z.px[at] > 0)) {
                     sky++;
                     covered += v.cov[own] >= 128;
                     continue;
                 }
+                near += (size_t)close;
                 if (!hit) continue;
                 double ray[3], t[3], dot = 0, len = 0;
                 orl_sample q;
                 orl_camera_unproject(&v.cam, x + 0.5, y + 0.5, ray);
-                rel[n++] = fabs(v.depth[own] / 16.0 * s->cell_world / sqrt(ray[0] * ray[0] + ray[1] * ray[1] + 1) - z.px[at]) / z.px[at];
                 orl_view_sample(&v, x, y, &q);
                 for (int k = 0; k < 3; k++) {
                     t[k] = R[3 * k] * nm.px[3 * at] + R[3 * k + 1] * nm.px[3 * at + 1] + R[3 * k + 2] * nm.px[3 * at + 2];
                     dot += t[k] * q.normal[k];
                     len += t[k] * t[k];
                 }
-                angle += acos(fmin(fmax(dot / sqrt(fmax(len, 1e-12)), -1), 1)) * 180 / 3.14159265358979;
+                for (int k = close ? 0 : 1; k < 2; k++) {
+                    rel[k][n[k]++] = fabs(v.depth[own] / 16.0 * s->cell_world / unit / sqrt(ray[0] * ray[0] + ray[1] * ray[1] + 1) - z.px[at]) / z.px[at];
+                    angle[k] += acos(fmin(fmax(dot / sqrt(fmax(len, 1e-12)), -1), 1)) * 180 / 3.14159265358979;
+                }
             }
         free(mem);
         orl_imagef_free(&z);
         orl_imagef_free(&nm);
     }
-    if (!e && !n) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel where scene and ground truth both see surface", d->dir);
+    if (!e && !n[0]) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel nearer than %g m where scene and ground truth both see surface", d->dir, NEAR_METRES);
     if (!e) {
-        out[0] = (figure){ order_median(rel, n), "depth_median_rel", 5 };
-        out[1] = (figure){ angle / (double)n, "normal_mean_deg", 3 };
-        out[2] = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
+        size_t seen = n[0];
+        out[0] = (figure){ order_median(rel[0], n[0]), "depth_median_rel", 5 };
+        out[1] = (figure){ angle[0] / (double)n[0], "normal_mean_deg", 3 };
+        out[2] = (figure){ order_median(rel[1], n[1]), "depth_median_rel_all", 5 };
+        out[3] = (figure){ angle[1] / (double)n[1], "normal_mean_deg_all", 3 };
+        out[4] = (figure){ 1 - (double)seen / (double)near, "scene_missed", 5 };
+        out[5] = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
     }
-    free(rel);
+    free(rel[0]);
+    free(rel[1]);
     return e;
 }
 
@@ -585,8 +619,8 @@ static int has_depth(const orl_dataset *d)
 
 orl_err eval_geometry(const orl_dataset *d, const orl_scene *s, const char *checkpoint, int threads, figure out[EVAL_FIGURES], int *count)
 {
-    int n = has_depth(d) ? 3 : 1;
-    orl_err e = n == 3 ? against_depth(d, s, threads, out) : sky_by_masks(d, s, threads, out);
+    int n = has_depth(d) ? DEPTH_FIGURES : 1;
+    orl_err e = n > 1 ? against_depth(d, s, threads, out) : sky_by_masks(d, s, threads, out);
     if (!e) e = held_out(d, s, threads, out + n);
     n += 2;
     if (!e && checkpoint) e = transients(d, checkpoint, threads, out, &n);

@@ -38,8 +38,8 @@ extern const char *const EVAL_NAMES[EVAL_COLUMNS];
 orl_err eval_score(const orl_image *photo, const eval_prediction *p, eval_row *r);
 eval_row eval_mean(const eval_row *rows, int n);
 /* Figures of `eval --geometry`: against gt/ where there is one, else the sky by its masks; SfM points held out from training; transients, where SCENE has masks and the run its checkpoint (NULL: none).
- * depth_median_rel, normal_mean_deg, sky_covered, sfm_heldout_median_rel, sfm_heldout_points, transient_iou. */
-enum { EVAL_FIGURES = 8 };
+ * depth_median_rel, normal_mean_deg (true depth under 80 m), the same with _all, scene_missed, sky_covered, sfm_heldout_median_rel, sfm_heldout_points, transient_iou. */
+enum { EVAL_FIGURES = 10 };
 typedef struct { double v; const char *key; int digits; } figure;
 orl_err eval_geometry(const orl_dataset *d, const orl_scene *s, const char *checkpoint, int threads, figure out[EVAL_FIGURES], int *count);
 #endif

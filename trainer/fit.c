@@ -181,6 +181,7 @@ static orl_err resume(run *r, FILE *ck)
     if (!e) e = checkpoint_load_sky(&r->w, ck, path);
     if (!e) e = stage1_load(&r->s1, ck, 0, path);
     if (!e) e = refine_load(&r->w, ck, path);
+    if (!e && r->o->stage2) e = surface_light(&r->surf, r->head.threads);
     if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
     if (!e && !r->o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&r->s2, ck, phase == 2, path);
     if (!e && (r->s2.round < 0 || r->s2.round > r->head.rounds)) e = orl_fail(ORL_E_RANGE, "%s: stage 2 round %d of %d", path, r->s2.round, r->head.rounds);

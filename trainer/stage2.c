@@ -6,10 +6,14 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/order.h"
 #include "trainer/ranks.h"
 
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, MOST_PIXELS = 16 << 20 };     /* of all photos */
+/* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
+enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
+#define PULL 4.0f               /* over the square of the photos that see it */
 
 static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, uint32_t *count)
 {
@@ -66,6 +70,62 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
     *count = n;
 }
 
+static int is_ground(const stage2 *s, const stage2_pixel *q)
+{
+    return q->surface == 2 || (q->surface == 1 && q->n[2] > 0.85f && fabsf(q->x[2] - frame_ground_height(&s->surf->f, q->x)) < 0.02f * (float)s->surf->f.dims[0]);
+}
+
+static int patch_of(const stage2 *s, const float x[3])
+{
+    int p[2];
+    for (int a = 0; a < 2; a++) {
+        float t = x[a] / PATCH;
+        p[a] = !(t > 0) ? 0 : t < (float)s->patches[a] ? (int)t : s->patches[a] - 1;
+    }
+    return p[1] * s->patches[0] + p[0];
+}
+
+static orl_err count_views(stage2 *s)
+{
+    for (int a = 0; a < 2; a++) s->patches[a] = (s->surf->f.dims[a] + PATCH - 1) / PATCH;
+    size_t n = (size_t)s->patches[0] * (size_t)s->patches[1];
+    int *last = calloc(n, sizeof *last);        /* photo + 1 */
+    s->seen = calloc(n, 1);
+    if (!last || !s->seen) { free(last); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu patches of ground", n); }
+    for (int k = 0; k < s->w->nphotos; k++)
+        for (uint32_t i = s->begin[k]; i < s->begin[k + 1]; i++) {
+            int at = is_ground(s, &s->px[i]) ? patch_of(s, s->px[i].x) : -1;
+            if (at < 0 || last[at] == k + 1) continue;
+            last[at] = k + 1;
+            s->seen[at] += s->seen[at] < 255;
+        }
+    free(last);
+    for (uint32_t i = 0; i < s->begin[s->w->nphotos]; i++) {
+        int n = is_ground(s, &s->px[i]) ? s->seen[patch_of(s, s->px[i].x)] : FEW;
+        s->px[i].few = (uint8_t)(n < FEW ? n : 0);
+    }
+    return ORL_OK;
+}
+
+/* Median base colour of ground that many photos see. */
+static void find_common(stage2 *s)
+{
+    enum { MOST = 1 << 14 };
+    static float v[3][MOST];
+    size_t n = 0, all = s->begin[s->w->nphotos], step = all / MOST + 1;
+    for (size_t i = 0; i < all && n < MOST; i += step) {
+        float a[3];
+        if (s->px[i].few || !is_ground(s, &s->px[i])) continue;
+        stage2_albedo(s, s->px[i].x, a);
+        for (int c = 0; c < 3; c++) v[c][n] = a[c];
+        n++;
+    }
+    for (int c = 0; c < 3; c++) {
+        order_floats(v[c], n);
+        s->common[c] = n ? v[c][n / 2] : 0.4f;
+    }
+}
+
 typedef struct { stage2 *s; const stage1 *s1; uint32_t *count; } pixel_job;
 
 static void pixel_range(void *user, int begin, int end)
@@ -118,6 +178,7 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
     free(count);
     stage2_pixel *fit = realloc(s->px, ((size_t)s->begin[n] + 1) * sizeof *fit);
     if (fit) s->px = fit;
+    if ((e = count_views(s))) { stage2_free(s); return e; }
     rng r = rng_make(opt->seed, 0x54ad, 0), turn = rng_make(opt->seed, 0x04de, 0);
     for (int k = 0; k < w->nphotos; k++) {
         int at = w->nphotos > STAGE2_VISITS ? (int)rng_below(&turn, (uint32_t)k + 1) : k;
@@ -155,6 +216,7 @@ void stage2_free(stage2 *s)
     free(s->begin);
     free(s->px);
     free(s->adam);
+    free(s->seen);
     memset(s, 0, sizeof *s);
 }
 
@@ -315,12 +377,14 @@ static void grad_photos(void *user, int begin, int end)
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
                 if (!q->surface) continue;
                 for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a] + 1e-3f * (o.albedo[a] - 0.4f);  /* back into range (the scene file clamps vertices, not sums); stone is seldom white */
+                float pull = q->few ? PULL / (float)(q->few * q->few) : 0;
+                for (int a = 0; a < 3; a++) d_albedo[a] += pull * (o.albedo[a] - s->common[a]);
                 v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
                 static const float PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 };   /* detail that few pixels ask for stays away */
                 for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da + PLAIN[l] * c.level[l]);
                 if (q->surface == 2) continue;
                 v8 dp[1];
-                for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + 1e-4f * o.phi[a];
+                for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + (1e-4f + 0.1f * pull) * o.phi[a];
                 grid_vector_back(&s->shadow, t, &c.s, 1, dp);
             }
             float *g = sum->shared, q[ORL_SKY_Q] = { 1, light->code[ORL_C_SUN_EL] };
@@ -340,6 +404,7 @@ void stage2_round(stage2 *s, stage2_losses *out)
     double mse = 0, weight = 0;
     memset(out, 0, sizeof *out);
     memset(found, 0, sizeof found);
+    find_common(s);
     orl_parallel(T, T, 1, code_photos, &(code_job){ s, found });
     ranks_merge(found, sizeof found);
     for (int i = 0; i < visits(s); i++) {

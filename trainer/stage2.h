@@ -12,6 +12,7 @@ typedef struct {
     uint8_t open, horizon[ORL_HORIZON];
     uint8_t rgb[3];                 /* target */
     uint8_t weight, surface;        /* weight / 255; 0 sky, 1 surface, 2 ground beyond it */
+    uint8_t few;                    /* ground that few photos see: how many; else 0 */
 } stage2_pixel;
 
 typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo (fewer where many photos would make too many in all); steps per round */
@@ -26,6 +27,9 @@ typedef struct {
     grid albedo[ALBEDO_LEVELS];     /* cells of 1, 4, 16; RGB linear, summed */
     grid shadow;                    /* cell 4: 8 features */
     float (*codes)[ORL_CODE];       /* per training photo */
+    float common[3];                /* median base colour of ground that many photos see */
+    int patches[2];                 /* of the box's ground plan, PATCH wide */
+    uint8_t *seen;                  /* per patch: photos that see it, up to 255 */
     int *order;                     /* in which rounds visit the photos */
     uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;

@@ -5,6 +5,8 @@
 #include <string.h>
 #include "oriel/parallel.h"
 
+#define MARCH_STEP 0.25f        /* fine cells, the least */
+
 static size_t brick_count(const surface *s) { return (size_t)s->nb[0] * (size_t)s->nb[1] * (size_t)s->nb[2]; }
 
 /* Empty bricks get minus their Chebyshev distance to the nearest brick (two passes a axis suffice: the metric is separable). */
@@ -64,7 +66,7 @@ orl_err surface_build(const stage1 *st, surface *out)
             lo = fminf(lo, v[i]);
             hi = fmaxf(hi, v[i]);
         }
-        if (lo < 0 && hi > 0) s.bmap[b] = (int32_t)s.nbricks++;
+        if (lo <= 0 && hi > -MARCH_STEP) s.bmap[b] = (int32_t)s.nbricks++;      /* a step may end behind a surface that lies just before the brick's face */
     }
     distance_map(&s);
     *out = s;
@@ -96,6 +98,8 @@ static float brick_value(const float *v, const float q[3])
     return b0 + f[2] * (b1 - b0);
 }
 
+static size_t brick_index(const surface *s, const int b[3]) { return ((size_t)b[2] * (size_t)s->nb[1] + (size_t)b[1]) * (size_t)s->nb[0] + (size_t)b[0]; }
+
 static const float *brick_at(const surface *s, const float x[3], int b[3], int *skip)
 {
     for (int a = 0; a < 3; a++) {
@@ -103,7 +107,7 @@ static const float *brick_at(const surface *s, const float x[3], int b[3], int *
         if (b[a] < 0) b[a] = 0;
         if (b[a] >= s->nb[a]) b[a] = s->nb[a] - 1;
     }
-    int32_t m = s->bmap[((size_t)b[2] * (size_t)s->nb[1] + (size_t)b[1]) * (size_t)s->nb[0] + (size_t)b[0]];
+    int32_t m = s->bmap[brick_index(s, b)];
     if (m < 0) { *skip = -m; return NULL; }
     return s->sdf + (size_t)m * ORL_BRICK_VERTS;
 }
@@ -117,11 +121,10 @@ float surface_value(const surface *s, const float x[3])
     return brick_value(v, q);
 }
 
-/* Central difference over +-1 cell; a neighbour that has no brick is replaced by the nearest point of the hit's own brick. */
-static void surface_normal(const surface *s, const float x[3], float n[3])
+/* Central difference over +-1 cell; a neighbour that has no brick is replaced by the nearest point of the brick `own`, at b, that holds x (maybe on its border). */
+static void surface_normal(const surface *s, const float x[3], const float *own, const int b[3], float n[3])
 {
-    int b[3], skip;
-    const float *own = brick_at(s, x, b, &skip);
+    int skip;
     float len = 0;
     for (int a = 0; a < 3; a++) {
         float f[2];
@@ -181,13 +184,14 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
             }
             hit->t = r;
             for (int a = 0; a < 3; a++) hit->x[a] = o[a] + r * d[a];
-            surface_normal(s, hit->x, hit->n);
+            v = brick_at(s, hit->x, b, &skip);
+            surface_normal(s, hit->x, v, b, hit->n);
             return 1;
         }
         if (f > 0) inside = 0;
         prev = fmaxf(f, 1e-3f);
         prev_t = t;
-        t += inside ? 0.5f : fminf(fmaxf(0.9f * f, 0.25f), 3.5f);
+        t += inside ? 0.5f : fminf(fmaxf(0.9f * f, MARCH_STEP), 3.5f);
     }
     return 0;
 }
@@ -259,19 +263,26 @@ orl_err surface_prune(surface *s, const world *w, int threads)
 }
 
 enum { ELEVATIONS = 12 };
-typedef struct { surface *s; const uint32_t (*verts)[3]; } light_job;
+typedef struct { int x[3], brick[3]; } light_vert;      /* in cells of 4; the place of a brick that holds it: beyond that brick's border there may be none */
+typedef struct { surface *s; const light_vert *verts; } light_job;
 
 static void light_range(void *user, int begin, int end)
 {
     light_job *j = user;
     surface *s = j->s;
     for (int i = begin; i < end; i++) {
-        const uint32_t *q = j->verts[i];
-        float x[3] = { 4.0f * (float)q[0], 4.0f * (float)q[1], 4.0f * (float)q[2] }, n[3];
-        surface_normal(s, x, n);
-        float lift = 2.0f - surface_value(s, x);
+        const light_vert *q = &j->verts[i];
+        const float *v = s->sdf + (size_t)s->bmap[brick_index(s, q->brick)] * ORL_BRICK_VERTS;
+        float x[3], in[3], n[3];
+        for (int a = 0; a < 3; a++) {
+            x[a] = 4.0f * (float)q->x[a];
+            in[a] = x[a] - 8.0f * (float)q->brick[a];
+        }
+        surface_normal(s, x, v, q->brick, n);
+        float lift = 2.0f - brick_value(v, in);
         for (int a = 0; a < 3; a++) x[a] += n[a] * fmaxf(lift, 0);
-        float *o = s->lite.p + grid_at(&s->lite, (int)q[0], (int)q[1], (int)q[2]) * 24;
+        size_t at = grid_at(&s->lite, q->x[0], q->x[1], q->x[2]);
+        float *o = s->lite.p + at * 24;
         float open = 0, all = 0;
         for (int az = 0; az < ORL_HORIZON; az++) {
             float phi = (float)az * (6.2831853f / ORL_HORIZON);
@@ -294,7 +305,7 @@ static void light_range(void *user, int begin, int end)
             o[1 + az] = (float)best * (1.5707963f / ELEVATIONS);
         }
         o[0] = all > 0 ? open / all : 0;
-        grid_mark(&s->lite, grid_at(&s->lite, (int)q[0], (int)q[1], (int)q[2]));
+        grid_mark(&s->lite, at);
     }
 }
 
@@ -303,21 +314,21 @@ orl_err surface_light(surface *s, int threads)
     orl_err e = s->lite.p ? ORL_OK : grid_init(&s->lite, s->f.dims, 4, 24, 0);
     if (e) return e;
     size_t cap = (size_t)s->nbricks * ORL_LITE_VERTS + 1, n = 0;
-    uint32_t (*verts)[3] = malloc(cap * sizeof *verts);
+    light_vert *verts = malloc(cap * sizeof *verts);
     uint8_t *mark = calloc(s->lite.nverts, 1);
     if (!verts || !mark) { free(verts); free(mark); return orl_fail(ORL_E_MEMORY, "surface: no memory for light vertices"); }
     for (size_t b = 0; b < brick_count(s); b++) {
         if (s->bmap[b] < 0) continue;
-        uint32_t o[3] = { (uint32_t)(b % (size_t)s->nb[0]) * 2, (uint32_t)(b / (size_t)s->nb[0] % (size_t)s->nb[1]) * 2, (uint32_t)(b / ((size_t)s->nb[0] * (size_t)s->nb[1])) * 2 };
-        for (uint32_t k = 0; k < ORL_LITE_VERTS; k++) {
-            uint32_t v[3] = { o[0] + k % 3, o[1] + k / 3 % 3, o[2] + k / 9 };
-            size_t at = grid_at(&s->lite, (int)v[0], (int)v[1], (int)v[2]);
+        int o[3] = { (int)(b % (size_t)s->nb[0]), (int)(b / (size_t)s->nb[0] % (size_t)s->nb[1]), (int)(b / ((size_t)s->nb[0] * (size_t)s->nb[1])) };
+        for (int k = 0; k < ORL_LITE_VERTS; k++) {
+            light_vert v = { { 2 * o[0] + k % 3, 2 * o[1] + k / 3 % 3, 2 * o[2] + k / 9 }, { o[0], o[1], o[2] } };
+            size_t at = grid_at(&s->lite, v.x[0], v.x[1], v.x[2]);
             if (mark[at]) continue;
             mark[at] = 1;
-            memcpy(verts[n++], v, sizeof v);
+            verts[n++] = v;
         }
     }
-    light_job j = { s, (const uint32_t (*)[3])verts };
+    light_job j = { s, verts };
     orl_parallel(threads, (int)n, 64, light_range, &j);
     free(verts);
     free(mark);
