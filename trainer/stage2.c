@@ -75,35 +75,30 @@ static int is_ground(const stage2 *s, const stage2_pixel *q)
     return q->surface == 2 || (q->surface == 1 && q->n[2] > 0.85f && fabsf(q->x[2] - frame_ground_height(&s->surf->f, q->x)) < 0.02f * (float)s->surf->f.dims[0]);
 }
 
-static int patch_of(const stage2 *s, const float x[3])
-{
-    int p[2];
-    for (int a = 0; a < 2; a++) {
-        float t = x[a] / PATCH;
-        p[a] = !(t > 0) ? 0 : t < (float)s->patches[a] ? (int)t : s->patches[a] - 1;
-    }
-    return p[1] * s->patches[0] + p[0];
-}
-
+/* Fills few: counts, by patches of the box's ground plan, the photos with a pixel there. */
 static orl_err count_views(stage2 *s)
 {
-    for (int a = 0; a < 2; a++) s->patches[a] = (s->surf->f.dims[a] + PATCH - 1) / PATCH;
-    size_t n = (size_t)s->patches[0] * (size_t)s->patches[1];
-    int *last = calloc(n, sizeof *last);        /* photo + 1 */
-    s->seen = calloc(n, 1);
-    if (!last || !s->seen) { free(last); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu patches of ground", n); }
+    const int *dims = s->surf->f.dims, patches[2] = { dims[0] / PATCH, dims[1] / PATCH };
+    size_t n = (size_t)patches[0] * (size_t)patches[1], all = s->begin[s->w->nphotos];
+    uint32_t *patch = malloc((all + 1) * sizeof *patch);        /* of each pixel; n: no ground */
+    uint32_t *photo = calloc(n + 1, sizeof *photo), *seen = calloc(n + 1, sizeof *seen);
+    if (!patch || !photo || !seen) { free(patch); free(photo); free(seen); return orl_fail(ORL_E_MEMORY, "stage 2: no memory for %zu patches of ground", n); }
     for (int k = 0; k < s->w->nphotos; k++)
         for (uint32_t i = s->begin[k]; i < s->begin[k + 1]; i++) {
-            int at = is_ground(s, &s->px[i]) ? patch_of(s, s->px[i].x) : -1;
-            if (at < 0 || last[at] == k + 1) continue;
-            last[at] = k + 1;
-            s->seen[at] += s->seen[at] < 255;
+            int at[2];
+            for (int a = 0; a < 2; a++) {
+                float t = s->px[i].x[a] / PATCH;
+                at[a] = !(t > 0) ? 0 : t < (float)patches[a] ? (int)t : patches[a] - 1;
+            }
+            uint32_t p = patch[i] = is_ground(s, &s->px[i]) ? (uint32_t)(at[1] * patches[0] + at[0]) : (uint32_t)n;
+            if (photo[p] == (uint32_t)k + 1) continue;
+            photo[p] = (uint32_t)k + 1;
+            seen[p]++;
         }
-    free(last);
-    for (uint32_t i = 0; i < s->begin[s->w->nphotos]; i++) {
-        int n = is_ground(s, &s->px[i]) ? s->seen[patch_of(s, s->px[i].x)] : FEW;
-        s->px[i].few = (uint8_t)(n < FEW ? n : 0);
-    }
+    for (size_t i = 0; i < all; i++) s->px[i].few = (uint8_t)(patch[i] < n && seen[patch[i]] < FEW ? seen[patch[i]] : 0);
+    free(patch);
+    free(photo);
+    free(seen);
     return ORL_OK;
 }
 
@@ -216,7 +211,6 @@ void stage2_free(stage2 *s)
     free(s->begin);
     free(s->px);
     free(s->adam);
-    free(s->seen);
     memset(s, 0, sizeof *s);
 }
 

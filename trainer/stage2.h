@@ -28,8 +28,6 @@ typedef struct {
     grid shadow;                    /* cell 4: 8 features */
     float (*codes)[ORL_CODE];       /* per training photo */
     float common[3];                /* median base colour of ground that many photos see */
-    int patches[2];                 /* of the box's ground plan, PATCH wide */
-    uint8_t *seen;                  /* per patch: photos that see it, up to 255 */
     int *order;                     /* in which rounds visit the photos */
     uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;
