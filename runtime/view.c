@@ -92,15 +92,20 @@ static int ground_hit(const orl_scene *s, const double o[3], const double d[3], 
     over = over > eye ? over : eye;
     if (!s->ground_albedo || !(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
     double t = over / fall;
-    int at[2];
+    uint32_t at[2], w[2];       /* texel and share of the next one, Q8 */
     for (int a = 0; a < 2; a++) {
-        double q = ((o[a] + t * d[a]) / (8.0 * s->nb[a]) + 1) * (ORL_GROUND_SIDE / 3.0);
-        at[a] = q > 0 ? (q < ORL_GROUND_SIDE - 1 ? (int)q : ORL_GROUND_SIDE - 1) : 0;
+        double q = ((o[a] + t * d[a]) / (8.0 * s->nb[a]) + 1) * (ORL_GROUND_SIDE / 3.0) - 0.5;
+        q = q > 0 ? q < ORL_GROUND_SIDE - 1 ? q : ORL_GROUND_SIDE - 1 : 0;
+        at[a] = q < ORL_GROUND_SIDE - 2 ? (uint32_t)q : ORL_GROUND_SIDE - 2;
+        w[a] = (uint32_t)((q - at[a]) * 256 + 0.5);
     }
-    const uint8_t *c = s->ground_albedo + 3 * (at[1] * ORL_GROUND_SIDE + at[0]);
+    const uint8_t *c = s->ground_albedo + 3 * (at[1] * ORL_GROUND_SIDE + at[0]), *next = c + 3 * ORL_GROUND_SIDE;
     memset(h, 0, sizeof *h);
     h->grad[2] = 1;
-    for (int k = 0; k < 3; k++) h->albedo[k] = ((uint32_t)(c[k] * c[k]) * 65535u + 32512u) / 65025;
+    for (int k = 0; k < 3; k++) {
+        uint32_t a = (256 - w[0]) * (uint32_t)(c[k] * c[k]) + w[0] * (uint32_t)(c[k + 3] * c[k + 3]), b = (256 - w[0]) * (uint32_t)(next[k] * next[k]) + w[0] * (uint32_t)(next[k + 3] * next[k + 3]);
+        h->albedo[k] = (uint32_t)(((uint64_t)((256 - w[1]) * a + w[1] * b) * 65535 + 65025 * 32768u) / (65025ull * 65536));
+    }
     h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
     return 1;

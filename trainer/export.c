@@ -29,11 +29,12 @@ static void ground_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[
     for (int t = 0; t < ORL_GROUND_SIDE * ORL_GROUND_SIDE; t++) {
         float sum[3] = { 0 };
         for (int k = 0; k < SUB * SUB; k++) {
-            float x[3] = { 0 }, a[3], at[2] = { (float)(t % ORL_GROUND_SIDE) + ((float)(k % SUB) + 0.5f) / SUB, (float)(t / ORL_GROUND_SIDE) + ((float)(k / SUB) + 0.5f) / SUB };
+            orl_sample q;
+            float x[3] = { 0 }, at[2] = { (float)(t % ORL_GROUND_SIDE) + ((float)(k % SUB) + 0.5f) / SUB, (float)(t / ORL_GROUND_SIDE) + ((float)(k / SUB) + 0.5f) / SUB };
             for (int c = 0; c < 2; c++) x[c] = (float)surf->f.dims[c] * (3 * at[c] / ORL_GROUND_SIDE - 1);
             x[2] = frame_ground_height(&surf->f, x);
-            stage2_albedo(s2, x, a);
-            for (int c = 0; c < 3; c++) sum[c] += a[c];
+            stage2_ground_sample(s2, x, &q);
+            for (int c = 0; c < 3; c++) sum[c] += q.albedo[c];
         }
         for (int c = 0; c < 3; c++) out[t][c] = quant8(sqrtf(sum[c] / (SUB * SUB)));
     }

@@ -9,7 +9,9 @@
 #include "trainer/order.h"
 #include "trainer/ranks.h"
 
-static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 };
+static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 };
+static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
+static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, MOST_PIXELS = 16 << 20 };     /* of all photos */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
@@ -45,18 +47,19 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         q->surface = ground ? 2 : 1;
         memcpy(q->x, h.x, sizeof h.x);
         memcpy(q->n, h.n, sizeof h.n);
-        float teacher[3], diff = 0;
-        stage1_colour(s1, k, h.x, teacher);
-        for (int a = 0; a < 3; a++) diff += fabsf(teacher[a] - q->rgb[a] / 255.0f);
         q->weight = 255;
-        if (at > 0.5f || diff > 0.6f) {
-            for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
-            q->weight = 64;
-        }
-        if (ground) {
+        if (ground) {                           /* stage 1 knows no colour there */
+            if (at > 0.5f) continue;
             q->open = 255;
             n++;
             continue;
+        }
+        float teacher[3], diff = 0;
+        stage1_colour(s1, k, h.x, teacher);
+        for (int a = 0; a < 3; a++) diff += fabsf(teacher[a] - q->rgb[a] / 255.0f);
+        if (at > 0.5f || diff > 0.6f) {
+            for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
+            q->weight = 64;
         }
         grid_cell c;
         v8 v[3] = { { 0 } };
@@ -70,15 +73,56 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
     *count = n;
 }
 
+/* Place on the ground's plan. */
+static void ground_plan(const stage2 *s, const float x[3], float y[3])
+{
+    for (int a = 0; a < 2; a++) y[a] = x[a] + (float)s->surf->f.dims[a];
+    y[2] = 0;
+}
+
+/* Base colour out of nested grids, and where it came from. excess: before the clamp minus after. */
+enum { MOST_LEVELS = ALBEDO_LEVELS > GROUND_LEVELS ? ALBEDO_LEVELS : GROUND_LEVELS };
+typedef struct { grid_cell at[MOST_LEVELS]; v4 level[MOST_LEVELS]; float excess[3]; } colour_cells;
+typedef struct { colour_cells a; grid_cell s; } cells;
+
+static void colour(const grid *g, int levels, const float x[3], const float base[3], float rgb[3], colour_cells *c)
+{
+    v4 a = { base[0], base[1], base[2], 0 };
+    for (int l = 0; l < levels; l++) {
+        grid_find(&g[l], x, &c->at[l]);
+        c->level[l] = (v4){ 0 };
+        grid_vector4(&g[l], &c->at[l], &c->level[l]);
+        a += c->level[l];
+    }
+    for (int k = 0; k < 3; k++) {
+        rgb[k] = a[k] < 0.02f ? 0.02f : a[k] > 1.0f ? 1.0f : a[k];
+        c->excess[k] = a[k] - rgb[k];
+    }
+}
+
+static void ground_colour(const stage2 *s, const float x[3], float rgb[3], colour_cells *c)
+{
+    float plan[3];
+    ground_plan(s, x, plan);
+    colour(s->ground, GROUND_LEVELS, plan, s->common, rgb, c);
+}
+
+/* d: dL / d rgb. plain: how strongly a level's detail that few pixels ask for stays away. */
+static void colour_back(grid *g, int levels, int thread, const colour_cells *c, const float d[3], const float plain[])
+{
+    v4 da = { d[0] + c->excess[0], d[1] + c->excess[1], d[2] + c->excess[2], 0 };      /* back into range: the scene file clamps vertices, not sums */
+    for (int l = 0; l < levels; l++) grid_vector4_back(&g[l], thread, &c->at[l], da + plain[l] * c->level[l]);
+}
+
 static int is_ground(const stage2 *s, const stage2_pixel *q)
 {
     return q->surface == 2 || (q->surface == 1 && q->n[2] > 0.85f && fabsf(q->x[2] - frame_ground_height(&s->surf->f, q->x)) < 0.02f * (float)s->surf->f.dims[0]);
 }
 
-/* Fills few: counts, by patches of the box's ground plan, the photos with a pixel there. */
+/* Fills few: counts, by patches of the ground's plan, the photos with a pixel there. */
 static orl_err count_views(stage2 *s)
 {
-    const int *dims = s->surf->f.dims, patches[2] = { dims[0] / PATCH, dims[1] / PATCH };
+    const int *dims = s->surf->f.dims, patches[2] = { 3 * dims[0] / PATCH, 3 * dims[1] / PATCH };
     size_t n = (size_t)patches[0] * (size_t)patches[1], all = s->begin[s->w->nphotos];
     uint32_t *patch = malloc((all + 1) * sizeof *patch);        /* of each pixel; n: no ground */
     uint32_t *photo = calloc(n + 1, sizeof *photo), *seen = calloc(n + 1, sizeof *seen);
@@ -86,8 +130,10 @@ static orl_err count_views(stage2 *s)
     for (int k = 0; k < s->w->nphotos; k++)
         for (uint32_t i = s->begin[k]; i < s->begin[k + 1]; i++) {
             int at[2];
+            float plan[3];
+            ground_plan(s, s->px[i].x, plan);
             for (int a = 0; a < 2; a++) {
-                float t = s->px[i].x[a] / PATCH;
+                float t = plan[a] / PATCH;
                 at[a] = !(t > 0) ? 0 : t < (float)patches[a] ? (int)t : patches[a] - 1;
             }
             uint32_t p = patch[i] = is_ground(s, &s->px[i]) ? (uint32_t)(at[1] * patches[0] + at[0]) : (uint32_t)n;
@@ -110,8 +156,10 @@ static void find_common(stage2 *s)
     size_t n = 0, all = s->begin[s->w->nphotos], step = all / MOST + 1;
     for (size_t i = 0; i < all && n < MOST; i += step) {
         float a[3];
+        colour_cells c;
         if (s->px[i].few || !is_ground(s, &s->px[i])) continue;
-        stage2_albedo(s, s->px[i].x, a);
+        if (s->px[i].surface == 2) ground_colour(s, s->px[i].x, a, &c);
+        else stage2_albedo(s, s->px[i].x, a);
         for (int c = 0; c < 3; c++) v[c][n] = a[c];
         n++;
     }
@@ -150,6 +198,10 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
     if (light) s->light = *light;
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_init(&s->albedo[l], surf->f.dims, ALBEDO_CELL[l], 4, opt->threads);
+    for (int l = 0; !e && l < GROUND_LEVELS; l++) {
+        int c = GROUND_CELL[l], plan[3] = { (3 * surf->f.dims[0] + c - 1) / c * c, (3 * surf->f.dims[1] + c - 1) / c * c, c };
+        e = grid_init(&s->ground[l], plan, c, 4, opt->threads);
+    }
     if (!e) e = grid_init(&s->shadow, surf->f.dims, 4, ORL_SHADOW_DIM, opt->threads);
     if (e || !s1) { if (e) stage2_free(s); return e; }
     sky_generator_start(&s->light);
@@ -205,6 +257,7 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
 void stage2_free(stage2 *s)
 {
     for (int l = 0; l < ALBEDO_LEVELS; l++) grid_free(&s->albedo[l]);
+    for (int l = 0; l < GROUND_LEVELS; l++) grid_free(&s->ground[l]);
     grid_free(&s->shadow);
     free(s->order);
     free(s->codes);
@@ -214,33 +267,19 @@ void stage2_free(stage2 *s)
     memset(s, 0, sizeof *s);
 }
 
-typedef struct { grid_cell a[ALBEDO_LEVELS], s; v4 level[ALBEDO_LEVELS]; float excess[3]; } cells;    /* excess: base colour before the clamp minus after */
-
 static void look_up(const stage2 *s, const float x[3], orl_sample *o, cells *c)
 {
-    v4 a = { 0 };
     v8 phi[1] = { { 0 } };
-    for (int l = 0; l < ALBEDO_LEVELS; l++) {
-        grid_find(&s->albedo[l], x, &c->a[l]);
-        c->level[l] = (v4){ 0 };
-        grid_vector4(&s->albedo[l], &c->a[l], &c->level[l]);
-        a += c->level[l];
-    }
+    colour(s->albedo, ALBEDO_LEVELS, x, (float[3]){ 0 }, o->albedo, &c->a);
     grid_find(&s->shadow, x, &c->s);
     grid_vector(&s->shadow, &c->s, 1, phi);
-    for (int k = 0; k < 3; k++) {
-        o->albedo[k] = a[k] < 0.02f ? 0.02f : a[k] > 1.0f ? 1.0f : a[k];
-        c->excess[k] = a[k] - o->albedo[k];
-    }
     for (int k = 0; k < ORL_SHADOW_DIM; k++) o->phi[k] = phi[0][k];
 }
 
 void stage2_albedo(const stage2 *s, const float x[3], float rgb[3])
 {
-    orl_sample o;
-    cells c;
-    look_up(s, x, &o, &c);
-    memcpy(rgb, o.albedo, sizeof o.albedo);
+    colour_cells c;
+    colour(s->albedo, ALBEDO_LEVELS, x, (float[3]){ 0 }, rgb, &c);
 }
 
 void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out)
@@ -260,8 +299,9 @@ void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], 
 
 void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out)
 {
+    colour_cells c;
     memset(out, 0, sizeof *out);
-    stage2_albedo(s, x, out->albedo);
+    ground_colour(s, x, out->albedo, &c);
     out->normal[2] = out->open = out->cov = 1;
 }
 
@@ -274,9 +314,9 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
         memcpy(o->dir, q->x, sizeof o->dir);
         return;
     }
-    look_up(s, q->x, o, c);
+    if (q->surface == 2) ground_colour(s, q->x, o->albedo, &c->a);
+    else look_up(s, q->x, o, c);
     memcpy(o->normal, q->n, sizeof o->normal);
-    if (q->surface == 2) memset(o->phi, 0, sizeof o->phi);
     o->open = q->open * (1.0f / 255.0f);
     for (int a = 0; a < ORL_HORIZON; a++) o->horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
     o->cov = 1;
@@ -339,6 +379,21 @@ static void code_photos(void *user, int begin, int end)
 typedef struct { float shared[SHARED]; double mse, weight; } grad_sum;
 typedef struct { stage2 *s; int step; grad_sum *sum; orl_light *lights; } grad_job;     /* sum: of each thread of each rank; lights: of each visit */
 
+/* Gradient of the robust loss by the shaded colour, and the squared error before it is made robust. */
+static float residual(const orl_light *light, const stage2_pixel *q, const orl_sample *o, float d[3])
+{
+    float rgb[3], err2 = 0;
+    orl_light_shade(light, o, rgb);
+    for (int a = 0; a < 3; a++) {
+        d[a] = rgb[a] - o->rgb[a];
+        if (q->rgb[a] >= 250 && d[a] > 0) d[a] = 0;     /* saturated: brighter is as good */
+        err2 += d[a] * d[a];
+    }
+    float rob = 0.15f * 0.15f / (err2 + 0.15f * 0.15f), scale = 2 * o->weight * rob * rob;
+    for (int a = 0; a < 3; a++) d[a] *= scale;
+    return err2;
+}
+
 static void grad_photos(void *user, int begin, int end)
 {
     grad_job *j = user;
@@ -356,27 +411,29 @@ static void grad_photos(void *user, int begin, int end)
                 cells c;
                 const stage2_pixel *q = &s->px[s->begin[k] + i];
                 make_sample(s, q, &o, &c);
-                float rgb[3], d[3], err2 = 0, d_albedo[3] = { 0 }, d_phi[ORL_SHADOW_DIM] = { 0 };
-                orl_light_shade(light, &o, rgb);
-                for (int a = 0; a < 3; a++) {
-                    float e = rgb[a] - o.rgb[a];
-                    if (q->rgb[a] >= 250 && e > 0) e = 0;       /* saturated: brighter is as good */
-                    d[a] = e;
-                    err2 += e * e;
-                }
-                float rob = 0.15f * 0.15f / (err2 + 0.15f * 0.15f), scale = 2 * o.weight * rob * rob;
+                float d[3], d_albedo[3] = { 0 }, d_phi[ORL_SHADOW_DIM] = { 0 }, err2 = residual(light, q, &o, d);
                 sum->mse += o.weight * err2 / 3;
                 sum->weight += o.weight;
-                for (int a = 0; a < 3; a++) d[a] *= scale;
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
                 if (!q->surface) continue;
-                for (int a = 0; a < 3; a++) d_albedo[a] += c.excess[a] + 1e-3f * (o.albedo[a] - 0.4f);  /* back into range (the scene file clamps vertices, not sums); stone is seldom white */
                 float pull = q->few ? PULL / (float)(q->few * q->few) : 0;
                 for (int a = 0; a < 3; a++) d_albedo[a] += pull * (o.albedo[a] - s->common[a]);
-                v4 da = { d_albedo[0], d_albedo[1], d_albedo[2], 0 };
-                static const float PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 };   /* detail that few pixels ask for stays away */
-                for (int l = 0; l < ALBEDO_LEVELS; l++) grid_vector4_back(&s->albedo[l], t, &c.a[l], da + PLAIN[l] * c.level[l]);
-                if (q->surface == 2) continue;
+                if (q->surface == 2) {
+                    colour_back(s->ground, GROUND_LEVELS, t, &c.a, d_albedo, GROUND_PLAIN);
+                    continue;
+                }
+                for (int a = 0; a < 3; a++) d_albedo[a] += 1e-3f * (o.albedo[a] - 0.4f);       /* stone is seldom white */
+                colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, ALBEDO_PLAIN);
+                if (i & 1 && is_ground(s, q)) {         /* what shows of the ground tells how it goes on */
+                    colour_cells g;
+                    orl_sample on = o;
+                    float d_on[3] = { 0 };
+                    ground_colour(s, q->x, on.albedo, &g);
+                    residual(light, q, &on, d);
+                    orl_light_shade_back(&s->light, light, &on, d, d_on, NULL, NULL, NULL);
+                    for (int a = 0; a < 3; a++) d_on[a] += pull * (on.albedo[a] - s->common[a]);
+                    colour_back(s->ground, GROUND_LEVELS, t, &g, d_on, GROUND_PLAIN);
+                }
                 v8 dp[1];
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) dp[0][a] = d_phi[a] + (1e-4f + 0.1f * pull) * o.phi[a];
                 grid_vector_back(&s->shadow, t, &c.s, 1, dp);
@@ -408,8 +465,11 @@ void stage2_round(stage2 *s, stage2_losses *out)
         out->adapt_rms += found[i].rms / visits(s);
         out->degenerate += found[i].degenerate;
     }
-    grid *all[ALBEDO_LEVELS + 1] = { [ALBEDO_LEVELS] = &s->shadow };
-    for (int l = 0; l < ALBEDO_LEVELS; l++) all[l] = &s->albedo[l];
+    enum { GRIDS = ALBEDO_LEVELS + GROUND_LEVELS + 1 };
+    grid *all[GRIDS] = { &s->shadow };
+    float lr[GRIDS] = { 0.02f };
+    for (int l = 0; l < ALBEDO_LEVELS; l++) { all[1 + l] = &s->albedo[l]; lr[1 + l] = ALBEDO_LR[l]; }
+    for (int l = 0; l < GROUND_LEVELS; l++) { all[1 + ALBEDO_LEVELS + l] = &s->ground[l]; lr[1 + ALBEDO_LEVELS + l] = GROUND_LR[l]; }
     float decay = expf(logf(0.1f) * (float)s->round / (float)(R > 0 ? R : 1));
     for (int step = 0; step < s->opt.steps; step++) {
         memset(sums, 0, (size_t)N * sizeof *sums);
@@ -421,16 +481,14 @@ void stage2_round(stage2 *s, stage2_losses *out)
             for (int i = 0; i < SHARED; i++) sum += (double)sums[t].shared[i] * sums[t].shared[i];
         }
         int sound = sum < 1e30;
-        for (int l = 0; l <= ALBEDO_LEVELS; l++) sound &= grid_sum(all[l], T);
+        for (int l = 0; l < GRIDS; l++) sound &= grid_sum(all[l], T);
         if (!sound) {
-            for (int l = 0; l <= ALBEDO_LEVELS; l++) grid_drop(all[l]);
+            for (int l = 0; l < GRIDS; l++) grid_drop(all[l]);
             out->dropped++;
             continue;
         }
         for (int t = 0; t < N; t++) { mse += sums[t].mse; weight += sums[t].weight; }
-        static const float LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f };
-        for (int l = 0; l < ALBEDO_LEVELS; l++) grid_adam(&s->albedo[l], LR[l] * decay, T);
-        grid_adam(&s->shadow, 0.02f * decay, T);
+        for (int l = 0; l < GRIDS; l++) grid_adam(all[l], lr[l] * decay, T);
         float *sky = &s->light.sky_gen[0][0][0], *m = s->adam, *v = s->adam + SHARED;
         for (int i = 0; i < SHARED; i++) {
             float g = 0;
@@ -516,18 +574,19 @@ void stage2_prior(stage2 *s)
 orl_err stage2_save(const stage2 *s, FILE *f, int moments)
 {
     int n = s->codes ? s->w->nphotos : 0;
-    int bad = fwrite(&s->light, sizeof s->light, 1, f) != 1 || fwrite(&s->round, sizeof s->round, 1, f) != 1 || fwrite(&n, sizeof n, 1, f) != 1;
+    int bad = fwrite(&s->light, sizeof s->light, 1, f) != 1 || fwrite(&s->round, sizeof s->round, 1, f) != 1 || fwrite(&n, sizeof n, 1, f) != 1 || fwrite(s->common, sizeof s->common, 1, f) != 1;
     bad |= n && fwrite(s->codes, sizeof *s->codes, (size_t)n, f) != (size_t)n;
     if (moments) bad |= fwrite(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED;
     orl_err e = bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_save(&s->albedo[l], f, moments);
+    for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_save(&s->ground[l], f, moments);
     return e ? e : grid_save(&s->shadow, f, moments);
 }
 
 orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path)
 {
     int n, expect = s->codes ? s->w->nphotos : -1;
-    if (fread(&s->light, sizeof s->light, 1, f) != 1 || fread(&s->round, sizeof s->round, 1, f) != 1 || fread(&n, sizeof n, 1, f) != 1)
+    if (fread(&s->light, sizeof s->light, 1, f) != 1 || fread(&s->round, sizeof s->round, 1, f) != 1 || fread(&n, sizeof n, 1, f) != 1 || fread(s->common, sizeof s->common, 1, f) != 1)
         return orl_fail(ORL_E_FORMAT, "%s: stage 2 header is cut short", path);
     if (n < 0 || n > 1000000 || (expect >= 0 && n != expect)) return orl_fail(ORL_E_RANGE, "%s: %d codes for %d photos", path, n, expect);
     if (!s->codes) s->codes = malloc(((size_t)n + 1) * sizeof *s->codes);
@@ -535,5 +594,6 @@ orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path)
     if (moments && fread(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED) return orl_fail(ORL_E_FORMAT, "%s: stage 2 moments are cut short", path);
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_load(&s->albedo[l], f, moments, path);
+    for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_load(&s->ground[l], f, moments, path);
     return e ? e : grid_load(&s->shadow, f, moments, path);
 }

@@ -4,7 +4,7 @@
 #include "oriel/adapt.h"
 #include "trainer/surface.h"
 
-enum { ALBEDO_LEVELS = 3, STAGE2_VISITS = 64 };
+enum { ALBEDO_LEVELS = 3, GROUND_LEVELS = 3, STAGE2_VISITS = 64 };
 
 /* A pixel of a training photo, reduced to what light needs. */
 typedef struct {
@@ -28,6 +28,7 @@ typedef struct {
     grid shadow;                    /* cell 4: 8 features */
     float (*codes)[ORL_CODE];       /* per training photo */
     float common[3];                /* median base colour of ground that many photos see */
+    grid ground[GROUND_LEVELS];     /* over the plan of the box and as much again on each side, cells of 8, 32, 128: what the ground beyond the surface has besides the common colour */
     int *order;                     /* in which rounds visit the photos */
     uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;

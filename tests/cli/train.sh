@@ -256,7 +256,9 @@ cp "$place"/photos/test_* "$imc/dense/images"
 "$T" eval "$imc" --scene "$W/imc.oriel" --nerfw "$W/a.nerfw" --json >"$W/imc.json" 2>"$W/err" || fail "eval of IMC-PT's layout: $(cat "$W/err")"
 cmp -s "$W/eval.json" "$W/imc.json" || fail "eval of IMC-PT's layout: $(cat "$W/imc.json")"
 "$T" eval "$place" --scene "$W/ref.oriel" --geometry --json >"$W/geometry.json" 2>"$W/err" || fail "eval --geometry: $(cat "$W/err")"
-json "$W/geometry.json" depth_median_rel normal_mean_deg sky_covered sfm_heldout_median_rel sfm_heldout_points transient_iou
+json "$W/geometry.json" depth_median_rel normal_mean_deg depth_median_rel_all normal_mean_deg_all scene_missed sky_covered sfm_heldout_median_rel sfm_heldout_points transient_iou
+depth=$(grep -oE '"depth_median_rel": [0-9.]+' "$W/geometry.json")      # the model's unit is 0.37 of the truth's metre
+awk "BEGIN { exit !(${depth##* } < 0.2) }" || fail "depth against the truth: $depth"
 # without ground truth or masks: what is left; a checkpoint of another place is refused
 cp -r "$place" "$W/bare"
 rm -r "$W/bare/gt" "$W/bare/masks"
