@@ -9,7 +9,7 @@
 #include "runtime/march.h"
 #include <string.h>
 
-enum { MAX_STEPS = 4096, T_ONE = 1 << 16, EMPTY = 8 * T_ONE, STEP_MIN = T_ONE / 4, STEP_MAX = 7 * T_ONE / 2, NUDGE = T_ONE / 64 };
+enum { MAX_STEPS = 4096, T_ONE = 1 << 16, EMPTY = 8 * T_ONE, STEP_MIN = T_ONE / 4, STEP_MAX = 7 * T_ONE / 2, NUDGE = T_ONE / 64, CUT = T_ONE / 32 };
 
 typedef struct {
     const orl_scene *s;
@@ -182,7 +182,7 @@ int orl_march(const orl_scene *s, const double origin[3], const double dir[3], o
     if (!ray_init(&r, s, origin, dir, &start)) return 0;
     int64_t t = 0, prev_t = 0;
     int32_t prev = T_ONE, p[3], q[3];
-    int inside = 0;
+    int inside = 0, entered = 0;
     for (int k = 0; k < MAX_STEPS && t < r.end; k++) {
         position(&r, t, p);
         int32_t b = brick_of(s, p);
@@ -197,6 +197,7 @@ int orl_march(const orl_scene *s, const double origin[3], const double dir[3], o
             prev = T_ONE;
             prev_t = t;
             inside = 0;
+            entered = 1;
             continue;
         }
         local(p, p, q);
@@ -209,11 +210,13 @@ int orl_march(const orl_scene *s, const double origin[3], const double dir[3], o
             int32_t own = brick_of(s, hit);
             if (own < 0) { at = t; memcpy(hit, p, sizeof hit); own = b; }
             out->t = at + fixed(start < 1e9 ? start : 1e9, 16);
+            out->cut = entered && f < -CUT;
             gradient(s, hit, own, out->grad);
             attributes(s, hit, own, out);
             return 1;
         }
         if (f > 0) inside = 0;
+        entered = 0;
         prev = f > 64 ? f : 64;
         prev_t = t;
         f -= f >> 3;

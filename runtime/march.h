@@ -9,6 +9,7 @@ typedef struct {
     uint32_t albedo[3];                 /* linear Q16, at most 65535 */
     uint32_t lite[ORL_LITE_BYTES];      /* file's bytes, Q16 */
     int32_t phi[ORL_SHADOW_DIM];        /* file's bytes, Q16 */
+    int cut;                            /* not a surface but the solid's section, met on coming out of empty bricks: a brick that nobody saw is missing */
 } orl_hit;
 
 /* origin and unit dir in the grid frame. 0: nothing is hit, out untouched. Not finite: nothing is hit. */

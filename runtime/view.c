@@ -83,15 +83,20 @@ static void palette_dir(int index, float n[3])
 
 typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
 
-/* What a ray that meets no brick falls on: the ground as in SCENE.md 4.7, in double with + - * / only. */
-static int ground_hit(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
+/* The ground as in SCENE.md 4.7, in double with + - * / only: where it is met, and its colour. */
+static int ground_meet(const orl_scene *s, const double o[3], const double d[3], double *t)
 {
     const float *g = s->ground;
     double over = o[2] - (g[0] + g[1] * o[0] + g[2] * o[1]), fall = g[1] * d[0] + g[2] * d[1] - d[2];
     double eye = ORL_GROUND_EYE * 8 * s->nb[0];
     over = over > eye ? over : eye;
-    if (!s->ground_albedo || !(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
-    double t = over / fall;
+    if (!(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
+    *t = over / fall;
+    return 1;
+}
+
+static void ground_hit(const orl_scene *s, const double o[3], const double d[3], double t, orl_hit *h)
+{
     uint32_t at[2], w[2];       /* texel and share of the next one, Q8 */
     for (int a = 0; a < 2; a++) {
         double q = ((o[a] + t * d[a]) / (8.0 * s->nb[a]) + 1) * (ORL_GROUND_SIDE / 3.0) - 0.5;
@@ -108,6 +113,24 @@ static int ground_hit(const orl_scene *s, const double o[3], const double d[3], 
     }
     h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
+}
+
+/* The surface, or the ground where the ray meets no surface or a cut that is the ground's. */
+static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
+{
+    double t, hit = 0;
+    int met = orl_march(s, o, d, h);
+    if (!s->ground_albedo || (met && !h->cut)) return met;
+    int falls = ground_meet(s, o, d, &t);
+    if (met) {
+        hit = (double)h->t / 65536;
+        double over = o[2] + hit * d[2] - (s->ground[0] + s->ground[1] * (o[0] + hit * d[0]) + s->ground[2] * (o[1] + hit * d[1]));
+        if (over > ORL_GROUND_CUT * 8 * s->nb[0]) return 1;
+        if (!falls || hit < t) t = hit;
+    } else if (!falls) {
+        return 0;
+    }
+    ground_hit(s, o, d, t, h);
     return 1;
 }
 
@@ -123,7 +146,7 @@ static void build_pixel(const build_job *j, int x, int y)
     int32_t phi[ORL_SHADOW_DIM] = { 0 };
     for (int k = 0; k < rays; k++) {
         double d[3];
-        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !(orl_march(j->s, j->origin, d, &h) || ground_hit(j->s, j->origin, d, &h))) continue;
+        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, &h)) continue;
         double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
         if (len > 0) for (int a = 0; a < 3; a++) n[a] += g[a] / len;
         for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];

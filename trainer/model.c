@@ -56,8 +56,9 @@ static void gbuffer_rows(void *user, int begin, int end)
                 surface_hit h;
                 world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
                 orl_sample q;
-                if (surface_march(&m->surf, o, d, &h)) stage2_surface_sample(&m->s2, h.x, h.n, &q);
-                else if (surface_ground(&m->surf, o, d, &h)) stage2_ground_sample(&m->s2, h.x, &q);
+                int met = surface_meet(&m->surf, o, d, &h);
+                if (met == MET_SURFACE) stage2_surface_sample(&m->s2, h.x, h.n, &q);
+                else if (met == MET_GROUND) stage2_ground_sample(&m->s2, h.x, &q);
                 else continue;
                 for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
                 for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];

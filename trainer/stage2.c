@@ -28,9 +28,9 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = world_label(p, x, y);
         world_ray(p, x + 0.5, y + 0.5, d);
         surface_hit h;
-        int hit = surface_march(s->surf, o, d, &h);
+        int met = surface_meet(s->surf, o, d, &h), hit = met == MET_SURFACE;
         int sky = label == WORLD_SKY || (!hit && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
-        int ground = !hit && !sky && surface_ground(s->surf, o, d, &h);
+        int ground = met == MET_GROUND && !sky;
         if ((hit || ground) == sky || (sky && sky_left == 0)) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);

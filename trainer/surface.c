@@ -6,6 +6,7 @@
 #include "oriel/parallel.h"
 
 #define MARCH_STEP 0.25f        /* fine cells, the least */
+#define SURFACE_CUT 0.03125f    /* fine cells: as deep in the solid as no surface on a brick's border can be */
 
 static size_t brick_count(const surface *s) { return (size_t)s->nb[0] * (size_t)s->nb[1] * (size_t)s->nb[2]; }
 
@@ -149,7 +150,7 @@ static void surface_normal(const surface *s, const float x[3], const float *own,
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit)
 {
     float t, t1, prev = 1, prev_t = 0;
-    int inside = 0;                             /* started in the solid: wait for free space first */
+    int inside = 0, entered = 0;                /* inside: started in the solid, waits for free space first. entered: came out of empty bricks */
     if (!box_clip(s->f.dims, o, d, &t, &t1)) return 0;
     float start = t;
     float inv[3];
@@ -169,6 +170,7 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
             prev = 1;
             prev_t = t;
             inside = 0;
+            entered = 1;
             continue;
         }
         float q[3] = { x[0] - 8.0f * b[0], x[1] - 8.0f * b[1], x[2] - 8.0f * b[2] };
@@ -183,12 +185,14 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
                 if (fr > 0) { lo = r; flo = fr; } else { hi = r; fhi = fr; }
             }
             hit->t = r;
+            hit->cut = entered && f < -SURFACE_CUT;
             for (int a = 0; a < 3; a++) hit->x[a] = o[a] + r * d[a];
             v = brick_at(s, hit->x, b, &skip);
             surface_normal(s, hit->x, v, b, hit->n);
             return 1;
         }
         if (f > 0) inside = 0;
+        entered = 0;
         prev = fmaxf(f, 1e-3f);
         prev_t = t;
         t += inside ? 0.5f : fminf(fmaxf(0.9f * f, MARCH_STEP), 3.5f);
@@ -196,13 +200,21 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
     return 0;
 }
 
-int surface_ground(const surface *s, const float o[3], const float d[3], surface_hit *hit)
+int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit)
 {
-    if (!frame_ground_hit(&s->f, o, d, &hit->t)) return 0;
-    for (int a = 0; a < 3; a++) hit->x[a] = o[a] + hit->t * d[a];
+    float t;
+    int met = surface_march(s, o, d, hit);
+    if (met && (!hit->cut || hit->x[2] - frame_ground_height(&s->f, hit->x) > ORL_GROUND_CUT * (float)s->f.dims[0])) return MET_SURFACE;
+    if (!frame_ground_hit(&s->f, o, d, &t)) {
+        if (!met) return MET_NOTHING;
+        t = hit->t;
+    }
+    if (met) t = fminf(t, hit->t);
+    for (int a = 0; a < 3; a++) hit->x[a] = o[a] + t * d[a];
+    hit->t = t;
     hit->n[0] = hit->n[1] = 0;
     hit->n[2] = 1;
-    return 1;
+    return MET_GROUND;
 }
 
 enum { PRUNE_STEP = 2, PRUNE_RAYS = 16 << 20 };

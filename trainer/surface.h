@@ -14,7 +14,7 @@ typedef struct {
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
-typedef struct { float x[3], n[3], t; } surface_hit;
+typedef struct { float x[3], n[3], t; int cut; } surface_hit;       /* cut: not a surface but the solid's section, where a brick that nobody saw is missing */
 
 /* Collapses stage 1's levels into bricks around the zero set. */
 orl_err surface_build(const stage1 *s, surface *out);
@@ -27,8 +27,9 @@ orl_err surface_light(surface *s, int threads);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
-/* The ground where o + t d meets no surface: a pruned brick's place, the far side of the box. hit->x may lie outside the box. */
-int surface_ground(const surface *s, const float o[3], const float d[3], surface_hit *hit);
+/* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a cut that is the ground's. */
+enum { MET_NOTHING, MET_SURFACE, MET_GROUND };
+int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit);
 float surface_value(const surface *s, const float x[3]);
 orl_err surface_save(const surface *s, FILE *f);
 orl_err surface_load(surface *s, FILE *f, const char *path);

@@ -100,11 +100,11 @@ static void render_range(void *user, int begin, int end)
             for (int a = 0; a < 3; a++) q->rgb[i][a] = (uint8_t)((sum[a] + 2) / (TRANSIENT_HALF * TRANSIENT_HALF));
             world_ray(p, x + 0.5 * TRANSIENT_HALF, y + 0.5 * TRANSIENT_HALF, d);
             memset(&s, 0, sizeof s);
-            int met = surface_march(j->s2->surf, o, d, &h);
-            int ground = !met && world_label(p, x + TRANSIENT_HALF / 2, y + TRANSIENT_HALF / 2) != WORLD_SKY && surface_ground(j->s2->surf, o, d, &h);
-            if (met) stage2_surface_sample(j->s2, h.x, h.n, &s);
-            else if (ground) stage2_ground_sample(j->s2, h.x, &s);
-            if (met || ground) q->t[i] = fmaxf(h.t, 1e-3f);
+            int met = surface_meet(j->s2->surf, o, d, &h);
+            if (met == MET_GROUND && world_label(p, x + TRANSIENT_HALF / 2, y + TRANSIENT_HALF / 2) == WORLD_SKY) met = MET_NOTHING;
+            if (met == MET_SURFACE) stage2_surface_sample(j->s2, h.x, h.n, &s);
+            else if (met == MET_GROUND) stage2_ground_sample(j->s2, h.x, &s);
+            if (met) q->t[i] = fmaxf(h.t, 1e-3f);
             memcpy(s.dir, d, sizeof d);
             orl_light_shade(l, &s, rgb);
             put_colour(rgb, q->fit[i]);
