@@ -124,6 +124,49 @@ static void test_coverage(void **state)
     free(b.block);
 }
 
+/* Ground bricks left out: rays that fall into the hole meet the ground plane's colour, at the plane or at the section of the bricks behind it, and never those bricks' inside. */
+static void test_hole(void **state)
+{
+    (void)state;
+    enum { X0 = 1, X1 = 3, Y0 = 0, Y1 = 2, Z = (int)(SYNTH_GROUND / 8) };
+    static uint8_t colour[ORL_GROUND_SIDE * ORL_GROUND_SIDE][3];
+    size_t total = (size_t)scene.nb[0] * scene.nb[1] * scene.nb[2];
+    int32_t *whole = (int32_t *)scene.bmap, *holed = malloc(total * sizeof *holed);
+    memcpy(holed, whole, total * sizeof *holed);
+    for (int y = Y0; y < Y1; y++) for (int x = X0; x < X1; x++) holed[((size_t)Z * scene.nb[1] + (size_t)y) * scene.nb[0] + (size_t)x] = -1;
+    for (int i = 0; i < ORL_GROUND_SIDE * ORL_GROUND_SIDE; i++) memcpy(colour[i], (uint8_t[3]){ 10, 200, 30 }, 3);
+    orl_camera cam = synth_camera(160, 120, 45);
+    orl_pose pose = synth_look(&scene, eye, target);
+    scene.bmap = holed;
+    scene.ground_albedo = colour[0];
+    for (int low = 0; low < 2; low++) {     /* the plane where the ground is; the plane lower, so that sections stand out of it */
+        scene.ground[0] = (float)SYNTH_GROUND - 1.2f * (float)low;
+        built b;
+        int fell = 0, section = 0;
+        build(&b, &cam, &pose, 1, 2);
+        for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+            orl_sample s;
+            double n[3], d[3];
+            orl_view_sample(&b.v, x, y, &s);
+            for (int a = 0; a < 3; a++) d[a] = s.dir[a];
+            double t = analytic(eye, d, n), px = (eye[0] + t * d[0]) / 8, py = (eye[1] + t * d[1]) / 8;
+            if (t <= 0 || n[2] < 1 || enters_below(eye, d) || px < X0 + 0.02 || px > X1 - 0.02 || py < Y0 + 0.02 || py > Y1 - 0.02) continue;
+            double e = b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - t, most = 1.2 * low / -d[2];
+            assert_true(s.albedo[1] > 0.6f && s.albedo[0] < 0.01f);
+            assert_true(s.normal[2] > 0.999f);
+            assert_true(e > -0.1 && e < most + 0.1);
+            fell++;
+            section += e < most - 0.1;
+        }
+        assert_true(fell > 200);
+        assert_true(!low || section > 10);
+        free(b.block);
+    }
+    scene.bmap = whole;
+    scene.ground_albedo = NULL;
+    free(holed);
+}
+
 static void test_threads(void **state)
 {
     (void)state;
@@ -241,7 +284,7 @@ static void test_degenerate(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
+        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_hole), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
