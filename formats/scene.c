@@ -24,7 +24,7 @@ static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
 typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.7] */
 typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.8] */
-typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t reserved[8]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.9] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.9] */
 typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.10] */
 _Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
@@ -211,7 +211,11 @@ static orl_err validate_light(const layout *l, orl_light_model *m, const char *n
     if (!all_zero(g->reserved, sizeof g->reserved)) return orl_fail(ORL_E_FORMAT, "%s: section SKYG: reserved bytes are not 0", name);
     if ((e = decode(d->mean[0], 3 * ORL_ENV, d->mean_exp, m->env_mean[0], "SKYD", name))) return e;
     for (int k = 0; k < ORL_ENV_DIM; k++) if ((e = decode(d->basis[k][0], 3 * ORL_ENV, d->basis_exp[k], m->env_basis[k][0], "SKYD", name))) return e;
-    for (int c = 0; c < 3; c++) m->ground[c] = (float)d->ground[c] / 65536;
+    for (int c = 0; c < 3; c++) {
+        m->ground[c] = (float)d->ground[c] / 65536;
+        m->sky_mean[c] = (float)g->sky_mean[c] / 255;
+        m->sky_std[c] = (float)g->sky_std[c] / 255;
+    }
     for (int j = 0; j < ORL_SKY_Q; j++) if ((e = decode(g->gen[j][0], 3 * ORL_SKY_Y, g->exp[j], m->sky_gen[j][0], "SKYG", name))) return e;
     for (int i = 0, k = 0; i < ORL_CODE; i++) {
         if (!within(p->mean[i], 1e12f)) return orl_fail(ORL_E_RANGE, "%s: section PRIO: mean[%d]", name, i);
@@ -324,6 +328,8 @@ static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, cons
     return ORL_OK;
 }
 
+static uint8_t byte_of(float v) { return (uint8_t)(v > 0 ? v < 1 ? (int)(v * 255 + 0.5f) : 255 : 0); }
+
 static orl_err encode_light(const orl_light_model *m, skyd_bytes *d, skyg_bytes *g, prio_bytes *p, const char *path)
 {
     orl_err e = encode(m->env_mean[0], 3 * ORL_ENV, d->mean[0], &d->mean_exp, "env_mean", path);
@@ -332,6 +338,8 @@ static orl_err encode_light(const orl_light_model *m, skyd_bytes *d, skyg_bytes 
     for (int c = 0; c < 3; c++) {
         float v = m->ground[c] * 65536 + 0.5f;
         d->ground[c] = (uint16_t)(v >= 65535 ? 65535 : v > 0 ? v : 0);
+        g->sky_mean[c] = byte_of(m->sky_mean[c]);
+        g->sky_std[c] = byte_of(m->sky_std[c]);
     }
     memcpy(p->mean, m->prior_mean, sizeof p->mean);
     for (int i = 0, k = 0; i < ORL_CODE; i++) for (int j = 0; j <= i; j++) p->prec[k++] = m->prior_prec[i][j];

@@ -49,6 +49,33 @@ static int usable(const orl_sample *s)
     return zero == 0;
 }
 
+/* What skies look like in other photos, for photos that show little of theirs: from the horizon to the zenith it counts as one pixel with the skies' own spread, and is never taken for an outlier. */
+static void believe_in_sky(state *w, normal *q)
+{
+    static const float UP[4] = { 0.1f, 0.35f, 0.7f, 0.95f };
+    const orl_light_model *m = w->m;
+    for (int k = 0; k < 4; k++) {
+        orl_sample s;
+        float rgb[3], J[3][N];
+        memset(&s, 0, sizeof s);
+        s.dir[0] = sqrtf(1 - UP[k] * UP[k]);
+        s.dir[2] = UP[k];
+        orl_light_shade_jac(&w->light, &w->jac, &s, rgb, J);
+        for (int c = 0; c < 3; c++) {
+            if (!(m->sky_std[c] > 0)) continue;
+            float a = 0.25f * w->prior_weight / (m->sky_std[c] * m->sky_std[c]), r = rgb[c] - m->sky_mean[c];
+            for (int i = 0; i < N; i++) {
+                if (J[c][i] == 0) continue;
+                q->g[i] += a * J[c][i] * r;
+                float *h = (float *)q->h[i];
+                for (int b = i; b < N; b++) h[b] += a * J[c][i] * J[c][b];
+            }
+            q->cost += 0.5 * a * r * r;
+            q->cost_before += 0.5 * a * r * r;
+        }
+    }
+}
+
 static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
 {
     memset(q, 0, sizeof *q);
@@ -96,6 +123,7 @@ static void evaluate(state *w, const float *code, float tau_before, float tau, s
     }
     q->cost = 0.5 * scale * rho + prior;
     q->cost_before = 0.5 * scale * rho_before + prior;
+    believe_in_sky(w, q);
 }
 
 /* Cholesky factor of H + damping; fixed entries become identity rows. 0 if not positive definite. */

@@ -12,7 +12,7 @@
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
 static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
-enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, MOST_PIXELS = 16 << 20 };     /* of all photos */
+enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
 #define PULL 4.0f               /* over the square of the photos that see it */
@@ -169,6 +169,34 @@ static void find_common(stage2 *s)
     }
 }
 
+/* Mean and spread of the photos' mean sky colours, in the scene file's steps. */
+static void find_skies(stage2 *s)
+{
+    double sum[3] = { 0 }, square[3] = { 0 };
+    int n = 0;
+    for (int k = 0; k < s->w->nphotos; k++) {
+        double rgb[3] = { 0 };
+        int sky = 0;
+        for (uint32_t i = s->begin[k]; i < s->begin[k + 1]; i++) {
+            if (s->px[i].surface || s->px[i].weight < 255) continue;
+            for (int c = 0; c < 3; c++) rgb[c] += s->px[i].rgb[c];
+            sky++;
+        }
+        if (sky < LEAST_SKY) continue;
+        for (int c = 0; c < 3; c++) {
+            rgb[c] /= sky;
+            sum[c] += rgb[c];
+            square[c] += rgb[c] * rgb[c];
+        }
+        n++;
+    }
+    for (int c = 0; c < 3; c++) {
+        double mean = sum[c] / fmax(n, 1), std = sqrt(fmax(square[c] / fmax(n, 1) - mean * mean, 0));
+        s->light.sky_mean[c] = (float)(n > 2 ? floor(mean + 0.5) : 0) / 255;
+        s->light.sky_std[c] = (float)(n > 2 ? floor(fmax(std, 25) + 0.5) : 0) / 255;
+    }
+}
+
 typedef struct { stage2 *s; const stage1 *s1; uint32_t *count; } pixel_job;
 
 static void pixel_range(void *user, int begin, int end)
@@ -226,6 +254,7 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
     stage2_pixel *fit = realloc(s->px, ((size_t)s->begin[n] + 1) * sizeof *fit);
     if (fit) s->px = fit;
     if ((e = count_views(s))) { stage2_free(s); return e; }
+    find_skies(s);
     rng r = rng_make(opt->seed, 0x54ad, 0), turn = rng_make(opt->seed, 0x04de, 0);
     for (int k = 0; k < w->nphotos; k++) {
         int at = w->nphotos > STAGE2_VISITS ? (int)rng_below(&turn, (uint32_t)k + 1) : k;

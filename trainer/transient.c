@@ -11,7 +11,7 @@
 #include "oriel/parallel.h"
 #include "trainer/order.h"
 
-enum { STRIDE = 8, COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 100 };
+enum { COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 100 };
 #define FLOOR 0.02f             /* of a residual's noise */
 #define UNSEEN 0.08f            /* noise where too few others look */
 #define EVEN 2.0f               /* evidence that speaks neither way, in noises */
@@ -26,7 +26,7 @@ enum { STRIDE = 8, COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 
 typedef uint8_t colour[3];
 /* t: along the ray, 0 = nothing met; the photo; the model as fitted, in full sun, in shadow; how far the photo is from common ground there. */
 typedef struct { int w, h; float *t; colour *rgb, *fit, *lit, *shade; uint8_t *bare; } plane;
-typedef struct { const world *w; const stage2 *s2; float ground[3]; plane *p; uint8_t **out; int failed; } job;
+typedef struct { const world *w; const stage2 *s2; plane *p; uint8_t **out; int failed; } job;
 
 static float middle(float *v, int n)
 {
@@ -111,7 +111,7 @@ static void render_range(void *user, int begin, int end)
             sun_and_shade(l, &s, q->lit[i], q->shade[i]);
             orl_sample g = { .normal = { 0, 0, 1 }, .open = 0.9f, .cov = 1 };
             colour lit, shade;
-            memcpy(g.albedo, j->ground, sizeof g.albedo);
+            memcpy(g.albedo, j->s2->common, sizeof g.albedo);
             memcpy(g.phi, s.phi, sizeof g.phi);
             sun_and_shade(l, &g, lit, shade);
             q->bare[i] = (uint8_t)(fminf(off_line(q->rgb[i], shade, lit, NOWHERE), 1) * 255 + 0.5f);
@@ -287,39 +287,12 @@ static void find_range(void *user, int begin, int end)
     }
 }
 
-/* Median base colour of level surface at the ground's height. */
-static void common_ground(job *j)
-{
-    size_t cap = 0, n = 0;
-    for (int k = 0; k < j->w->nphotos; k++) cap += (size_t)(j->w->photos[k].w / STRIDE + 1) * (size_t)(j->w->photos[k].h / STRIDE + 1);
-    float *v = malloc(3 * cap * sizeof *v + 1);
-    for (int a = 0; a < 3; a++) j->ground[a] = 0.4f;
-    for (int k = 0; v && k < j->w->nphotos; k++)
-        for (int y = STRIDE / 2; y < j->w->photos[k].h; y += STRIDE)
-            for (int x = STRIDE / 2; x < j->w->photos[k].w; x += STRIDE) {
-                const world_photo *p = &j->w->photos[k];
-                float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] }, d[3], a[3];
-                surface_hit h;
-                world_ray(p, x, y, d);
-                if (!surface_march(j->s2->surf, o, d, &h) || h.n[2] < 0.8f || fabsf(h.x[2] - frame_ground_height(&j->s2->surf->f, h.x)) > 0.02f * (float)j->w->frame.dims[0]) continue;
-                stage2_albedo(j->s2, h.x, a);
-                for (int c = 0; c < 3; c++) v[(size_t)c * cap + n] = a[c];
-                n++;
-            }
-    for (int a = 0; v && n && a < 3; a++) {
-        order_floats(v + (size_t)a * cap, n);
-        j->ground[a] = v[(size_t)a * cap + n / 2];
-    }
-    free(v);
-}
-
 orl_err transient_masks(const world *w, const stage2 *s2, int threads, uint8_t **out)
 {
     size_t n = (size_t)w->nphotos;
     job j = { .w = w, .s2 = s2, .p = calloc(n, sizeof *j.p), .out = out };
     memset(out, 0, n * sizeof *out);
     j.failed = !j.p;
-    if (!j.failed) common_ground(&j);
     if (!j.failed) orl_parallel(threads, w->nphotos, 1, render_range, &j);
     if (!j.failed) orl_parallel(threads, w->nphotos, 1, find_range, &j);
     for (size_t k = 0; k < n; k++) {

@@ -42,6 +42,7 @@ typedef struct {
     float ground[3];                            /* diffuse albedo of the ground, 0..1 */
     float prior_mean[ORL_CODE];                 /* Gaussian prior of the codes; azimuth has precision ~0 */
     float prior_prec[ORL_CODE][ORL_CODE];       /* inverse covariance, symmetric positive semidefinite */
+    float sky_mean[3], sky_std[3];              /* what skies look like in this place's photos: sRGB, 0..1; std 0: not known */
 } orl_light_model;
 
 /* One pixel's surface and direction, all that light needs. */
