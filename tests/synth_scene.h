@@ -120,6 +120,10 @@ static inline void synth_scene_make(orl_scene *s, uint32_t nbx, uint32_t nby, ui
     for (int k = 0; k < ORL_SHADOW_DIM; k++) s->shadow_scale[k] = k & 1 ? 1.0f / 64 : 1.0f / 128;
     orl_light_model_default(&s->light);
     float *codes = malloc(2 * ORL_CODE * sizeof *codes);
+    for (int c = 0; c < 3; c++) {
+        s->light.sky_mean[c] = (float)(180 + 20 * c) / 255;
+        s->light.sky_std[c] = (float)(30 + c) / 255;
+    }
     for (int k = 0; k < ORL_CODE; k++) {
         codes[k] = s->light.prior_mean[k];
         codes[ORL_CODE + k] = s->light.prior_mean[k] + 0.01f * (float)(k % 5);

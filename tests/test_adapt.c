@@ -218,9 +218,53 @@ static void hostile_start(void **state)
     all_finite(&r);
 }
 
+/* A photo without sky: the sky is taken to be as in other photos, and what the photo shows is explained as well as before. With half the photo sky, the photo's own counts. */
+static void unseen_sky_is_as_elsewhere(void **state)
+{
+    (void)state;
+    static const float MEAN[3] = { 200 / 255.0f, 210 / 255.0f, 220 / 255.0f };
+    double off[2] = { 0 }, err[2] = { 0 }, seen[2] = { 0 };
+    orl_light_model keep = model;
+    for (int c = 0; c < 3; c++) {               /* a sky that its own codes can turn into any */
+        model.sky_gen[ORL_SKY_Q - ORL_SKY_DIM + c][c][0] = 0.2f;
+        model.sky_gen[ORL_SKY_Q - 1][c][3] = 0.3f;
+    }
+    for (int t = 0; t < 6; t++)
+        for (int sky = 0; sky < 2; sky++) {
+            float code[ORL_CODE];
+            orl_adapt_result r;
+            make_place(0.5 * sky);
+            for (int i = 0; i < COUNT && !sky; i++) samples[i].cov = 1;
+            make_code(code);
+            for (int k = ORL_C_SKY; k < ORL_C_SHADOW; k++) code[k] *= 2;
+            make_photo(code, 0, 0.01f);
+            for (int belief = 0; belief < 2; belief++) {
+                for (int c = 0; c < 3; c++) {
+                    model.sky_mean[c] = MEAN[c];
+                    model.sky_std[c] = belief ? 0.1f : 0;
+                }
+                adapt(NULL, NULL, &r);
+                if (sky) { seen[belief] += error_of(r.code) / 6; continue; }
+                err[belief] += error_of(r.code) / 6;
+                for (int k = 0; k < 4; k++) {
+                    float el = 0.1f + 0.4f * (float)k, rgb[3];
+                    orl_sample s = { .dir = { cosf(el), 0, sinf(el) } };
+                    orl_light_shade(&light, &s, rgb);
+                    for (int c = 0; c < 3; c++) off[belief] += fabs(rgb[c] - MEAN[c]) / 72;
+                }
+            }
+        }
+    model = keep;
+    print_message("sky off by %.3f without, %.3f with belief; building off by %.4f and %.4f; half sky: %.4f and %.4f\n", off[0], off[1], err[0], err[1], seen[0], seen[1]);
+    assert_true(off[1] < 0.08 && off[1] < 0.5 * off[0]);
+    assert_true(err[1] < err[0] + 0.002);
+    assert_true(seen[1] < seen[0] + 0.002);
+}
+
 int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
-    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(hostile_start) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(hostile_start),
+                                        cmocka_unit_test(unseen_sky_is_as_elsewhere) };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -277,7 +277,7 @@ static void test_field_ranges(void **state)
         { head + 116, 0x3f800001, ORL_E_RANGE }, { head + 116, inf, ORL_E_RANGE }, { head + 116, 0xbf800000, ORL_E_RANGE }, { head + 148, 1, ORL_E_FORMAT },
         { map, 0x7fffffff, ORL_E_RANGE }, { map + 4, 0x80000000, ORL_E_RANGE }, { map + 4, (uint32_t)-128, ORL_E_RANGE }, { map, 6, ORL_E_RANGE },
         { skyd, 16, ORL_E_RANGE }, { skyd + 4, (uint32_t)-41, ORL_E_RANGE }, { skyd + 60, 1, ORL_E_FORMAT },
-        { skyg, huge / 2, ORL_E_RANGE }, { skyg + 60, 1, ORL_E_FORMAT },
+        { skyg, huge / 2, ORL_E_RANGE }, { skyg + 60, 0x10000, ORL_E_FORMAT },
         { prio, nan, ORL_E_RANGE }, { prio + 148, 0xbf800000, ORL_E_RANGE }, { prio + 152, inf, ORL_E_RANGE },
         { code, inf, ORL_E_RANGE }, { code + 4, 0x7f000000, ORL_E_RANGE },
         { meta, 0x0a313131, ORL_E_FORMAT }, { meta + 60, 0x61616161, ORL_E_FORMAT },
