@@ -11,7 +11,7 @@
 
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
-static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
+static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 0.6f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
@@ -452,7 +452,7 @@ static void grad_photos(void *user, int begin, int end)
                     continue;
                 }
                 for (int a = 0; a < 3; a++) d_albedo[a] += 1e-3f * (o.albedo[a] - 0.4f);       /* stone is seldom white */
-                colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, ALBEDO_PLAIN);
+                colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, is_ground(s, q) ? FLOOR_PLAIN : ALBEDO_PLAIN);
                 if (i & 1 && is_ground(s, q)) {         /* what shows of the ground tells how it goes on */
                     colour_cells g;
                     orl_sample on = o;
