@@ -54,6 +54,7 @@ static void believe_in_sky(state *w, normal *q)
 {
     static const float UP[4] = { 0.1f, 0.35f, 0.7f, 0.95f };
     const orl_light_model *m = w->m;
+    if (!(m->sky_std[0] > 0 || m->sky_std[1] > 0 || m->sky_std[2] > 0)) return;
     for (int k = 0; k < 4; k++) {
         orl_sample s;
         float rgb[3], J[3][N];

@@ -83,12 +83,12 @@ static void palette_dir(int index, float n[3])
 
 typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
 
-/* The ground as in SCENE.md 4.7, in double with + - * / only: where it is met, and its colour. */
+/* The ground as in SCENE.md 4.7, in double with + - * / only: height over it, where it is met, and its colour. */
+static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
+
 static int ground_meet(const orl_scene *s, const double o[3], const double d[3], double *t)
 {
-    const float *g = s->ground;
-    double over = o[2] - (g[0] + g[1] * o[0] + g[2] * o[1]), fall = g[1] * d[0] + g[2] * d[1] - d[2];
-    double eye = ORL_GROUND_EYE * 8 * s->nb[0];
+    double over = over_ground(s, o), fall = s->ground[1] * d[0] + s->ground[2] * d[1] - d[2], eye = ORL_GROUND_EYE * 8 * s->nb[0];
     over = over > eye ? over : eye;
     if (!(fall > ORL_GROUND_FALL) || !(over < ORL_GROUND_FAR * fall)) return 0;
     *t = over / fall;
@@ -118,17 +118,15 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
 /* The surface, or the ground where the ray meets no surface or a cut that is the ground's. */
 static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
 {
-    double t, hit = 0;
+    double t;
     int met = orl_march(s, o, d, h);
     if (!s->ground_albedo || (met && !h->cut)) return met;
     int falls = ground_meet(s, o, d, &t);
+    if (!met && !falls) return 0;
     if (met) {
-        hit = (double)h->t / 65536;
-        double over = o[2] + hit * d[2] - (s->ground[0] + s->ground[1] * (o[0] + hit * d[0]) + s->ground[2] * (o[1] + hit * d[1]));
-        if (over > ORL_GROUND_CUT * 8 * s->nb[0]) return 1;
+        double hit = (double)h->t / 65536, x[3] = { o[0] + hit * d[0], o[1] + hit * d[1], o[2] + hit * d[2] };
+        if (over_ground(s, x) > ORL_GROUND_CUT * 8 * s->nb[0]) return 1;
         if (!falls || hit < t) t = hit;
-    } else if (!falls) {
-        return 0;
     }
     ground_hit(s, o, d, t, h);
     return 1;

@@ -483,18 +483,15 @@ static orl_err sky_by_masks(const orl_dataset *d, const orl_scene *s, int thread
 /* World units a metre: gt/world.tsv says so where the model is not in metres. */
 static orl_err unit_of_metre(const orl_dataset *d, double *unit)
 {
-    char path[2048], *text;
-    uint8_t *bytes;
-    size_t n;
+    char path[2048];
+    uint8_t *text;
+    size_t bytes;
     *unit = 1;
     snprintf(path, sizeof path, "%s/gt/world.tsv", d->dir);
     if (access(path, R_OK)) return ORL_OK;
-    orl_err e = orl_file_read(path, 1 << 16, &bytes, &n);
+    orl_err e = orl_file_read(path, 1 << 16, &text, &bytes);
     if (e) return e;
-    text = realloc(bytes, n + 1);
-    if (!text) { free(bytes); return orl_fail(ORL_E_MEMORY, "%s: no memory", path); }
-    text[n] = 0;
-    const char *at = strstr(text, "\nscale\t");
+    const char *at = strstr((char *)text, "\nscale\t");
     if (at) *unit = strtod(at + 7, NULL);
     free(text);
     return *unit > 0 && isfinite(*unit) ? ORL_OK : orl_fail(ORL_E_RANGE, "%s: scale is no positive number", path);
@@ -560,12 +557,11 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
     }
     if (!e && !n[0]) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel nearer than %g m where scene and ground truth both see surface", d->dir, NEAR_METRES);
     if (!e) {
-        size_t seen = n[0];
         out[0] = (figure){ order_median(rel[0], n[0]), "depth_median_rel", 5 };
         out[1] = (figure){ angle[0] / (double)n[0], "normal_mean_deg", 3 };
         out[2] = (figure){ order_median(rel[1], n[1]), "depth_median_rel_all", 5 };
         out[3] = (figure){ angle[1] / (double)n[1], "normal_mean_deg_all", 3 };
-        out[4] = (figure){ 1 - (double)seen / (double)near, "scene_missed", 5 };
+        out[4] = (figure){ 1 - (double)n[0] / (double)near, "scene_missed", 5 };
         out[5] = (figure){ sky ? (double)covered / (double)sky : 0, "sky_covered", 5 };
     }
     free(rel[0]);
@@ -650,12 +646,6 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
     snprintf(path, sizeof path, "%s/gt/photo_params.json", d->dir);
     orl_err e = orl_file_read(path, 1 << 24, &json, &bytes);
     if (e) return e;
-    char *text = realloc(json, bytes + 1);
-    if (!text) {
-        free(json);
-        return orl_fail(ORL_E_MEMORY, "%s: no memory", path);
-    }
-    text[bytes] = 0;
     scene_rotation(s, R);
     for (uint32_t i = 0; !e && i < d->nphotos; i++) {
         const orl_photo *p = &d->photos[i];
@@ -694,7 +684,7 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
             }
         }
         double sun[3];
-        if (!e && true_sun(text, p, sun) && nsuns < sizeof suns / sizeof *suns) {
+        if (!e && true_sun((char *)json, p, sun) && nsuns < sizeof suns / sizeof *suns) {
             e = orl_photo_load(p, o->long_side, &photo, &cam);
             if (!e) e = cut(&photo, o->full_adapt ? photo.w : photo.w / 2, &known);
             if (!e) e = open_view(s, &cam, &p->pose, 2, o->threads, &small, &mem2);
@@ -710,7 +700,7 @@ static orl_err factors(const orl_dataset *d, const orl_scene *s, const options *
         orl_imagef_free(&z); orl_imagef_free(&truth);
         orl_image_free(&photo); orl_image_free(&known);
     }
-    free(text);
+    free(json);
     if (!e && !photos) e = orl_fail(ORL_E_DEGENERATE, "%s: no pixel where scene and ground truth both see surface", d->dir);
     if (!e) {
         out[0] = (figure){ psnr / photos, "albedo_psnr", 3 };

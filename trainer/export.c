@@ -32,7 +32,6 @@ static void ground_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[
             orl_sample q;
             float x[3] = { 0 }, at[2] = { (float)(t % ORL_GROUND_SIDE) + ((float)(k % SUB) + 0.5f) / SUB, (float)(t / ORL_GROUND_SIDE) + ((float)(k / SUB) + 0.5f) / SUB };
             for (int c = 0; c < 2; c++) x[c] = (float)surf->f.dims[c] * (3 * at[c] / ORL_GROUND_SIDE - 1);
-            x[2] = frame_ground_height(&surf->f, x);
             stage2_ground_sample(s2, x, &q);
             for (int c = 0; c < 3; c++) sum[c] += q.albedo[c];
         }

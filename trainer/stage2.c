@@ -28,10 +28,9 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = world_label(p, x, y);
         world_ray(p, x + 0.5, y + 0.5, d);
         surface_hit h;
-        int met = surface_meet(s->surf, o, d, &h), hit = met == MET_SURFACE;
-        int sky = label == WORLD_SKY || (!hit && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
-        int ground = met == MET_GROUND && !sky;
-        if ((hit || ground) == sky || (sky && sky_left == 0)) continue;
+        int met = surface_meet(s->surf, o, d, &h);
+        int sky = label == WORLD_SKY || (met != MET_SURFACE && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
+        if (sky ? met == MET_SURFACE || sky_left == 0 : met == MET_NOTHING) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
         float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
@@ -44,11 +43,11 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
             n++;
             continue;
         }
-        q->surface = ground ? 2 : 1;
+        q->surface = (uint8_t)met;
         memcpy(q->x, h.x, sizeof h.x);
         memcpy(q->n, h.n, sizeof h.n);
         q->weight = 255;
-        if (ground) {                           /* stage 1 knows no colour there */
+        if (met == MET_GROUND) {                /* stage 1 knows no colour there */
             if (at > 0.5f) continue;
             q->open = 255;
             n++;
@@ -116,7 +115,7 @@ static void colour_back(grid *g, int levels, int thread, const colour_cells *c, 
 
 static int is_ground(const stage2 *s, const stage2_pixel *q)
 {
-    return q->surface == 2 || (q->surface == 1 && q->n[2] > 0.85f && fabsf(q->x[2] - frame_ground_height(&s->surf->f, q->x)) < 0.02f * (float)s->surf->f.dims[0]);
+    return q->surface == MET_GROUND || (q->surface == MET_SURFACE && q->n[2] > 0.85f && fabsf(q->x[2] - frame_ground_height(&s->surf->f, q->x)) < 0.02f * (float)s->surf->f.dims[0]);
 }
 
 /* Fills few: counts, by patches of the ground's plan, the photos with a pixel there. */
@@ -156,9 +155,9 @@ static void find_common(stage2 *s)
     size_t n = 0, all = s->begin[s->w->nphotos], step = all / MOST + 1;
     for (size_t i = 0; i < all && n < MOST; i += step) {
         float a[3];
-        colour_cells c;
+        colour_cells from;
         if (s->px[i].few || !is_ground(s, &s->px[i])) continue;
-        if (s->px[i].surface == 2) ground_colour(s, s->px[i].x, a, &c);
+        if (s->px[i].surface == MET_GROUND) ground_colour(s, s->px[i].x, a, &from);
         else stage2_albedo(s, s->px[i].x, a);
         for (int c = 0; c < 3; c++) v[c][n] = a[c];
         n++;
@@ -343,7 +342,7 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
         memcpy(o->dir, q->x, sizeof o->dir);
         return;
     }
-    if (q->surface == 2) ground_colour(s, q->x, o->albedo, &c->a);
+    if (q->surface == MET_GROUND) ground_colour(s, q->x, o->albedo, &c->a);
     else look_up(s, q->x, o, c);
     memcpy(o->normal, q->n, sizeof o->normal);
     o->open = q->open * (1.0f / 255.0f);
@@ -447,13 +446,14 @@ static void grad_photos(void *user, int begin, int end)
                 if (!q->surface) continue;
                 float pull = q->few ? PULL / (float)(q->few * q->few) : 0;
                 for (int a = 0; a < 3; a++) d_albedo[a] += pull * (o.albedo[a] - s->common[a]);
-                if (q->surface == 2) {
+                if (q->surface == MET_GROUND) {
                     colour_back(s->ground, GROUND_LEVELS, t, &c.a, d_albedo, GROUND_PLAIN);
                     continue;
                 }
+                int floor = is_ground(s, q);
                 for (int a = 0; a < 3; a++) d_albedo[a] += 1e-3f * (o.albedo[a] - 0.4f);       /* stone is seldom white */
-                colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, is_ground(s, q) ? FLOOR_PLAIN : ALBEDO_PLAIN);
-                if (i & 1 && is_ground(s, q)) {         /* what shows of the ground tells how it goes on */
+                colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, floor ? FLOOR_PLAIN : ALBEDO_PLAIN);
+                if (i & 1 && floor) {         /* what shows of the ground tells how it goes on */
                     colour_cells g;
                     orl_sample on = o;
                     float d_on[3] = { 0 };

@@ -11,7 +11,7 @@ typedef struct {
     float x[3], n[3];               /* surface point and normal; sky: x = direction */
     uint8_t open, horizon[ORL_HORIZON];
     uint8_t rgb[3];                 /* target */
-    uint8_t weight, surface;        /* weight / 255; 0 sky, 1 surface, 2 ground beyond it */
+    uint8_t weight, surface;        /* weight / 255; MET_NOTHING: sky */
     uint8_t few;                    /* ground that few photos see: how many; else 0 */
 } stage2_pixel;
 

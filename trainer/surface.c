@@ -113,7 +113,7 @@ static const float *brick_at(const surface *s, const float x[3], int b[3], int *
     return s->sdf + (size_t)m * ORL_BRICK_VERTS;
 }
 
-float surface_value(const surface *s, const float x[3])
+static float surface_value(const surface *s, const float x[3])
 {
     int b[3], skip;
     const float *v = brick_at(s, x, b, &skip);

@@ -30,7 +30,6 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
 /* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a cut that is the ground's. */
 enum { MET_NOTHING, MET_SURFACE, MET_GROUND };
 int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit);
-float surface_value(const surface *s, const float x[3]);
 orl_err surface_save(const surface *s, FILE *f);
 orl_err surface_load(surface *s, FILE *f, const char *path);
 #endif

@@ -36,7 +36,7 @@ const char *orl_image_formats(void);
 
 /* Atomic file: bytes to path.tmp<pid>, fsync, rename. */
 orl_err orl_file_write(const char *path, const void *bytes, size_t n);
-/* Whole file into malloc'd memory; ORL_E_RANGE above max bytes. */
+/* Whole file into malloc'd memory, with a 0 behind its n bytes; ORL_E_RANGE above max bytes. */
 orl_err orl_file_read(const char *path, size_t max, uint8_t **bytes, size_t *n);
 /* CRC-32 (that of zlib and PNG) of n bytes, going on from crc; 0 to begin with. */
 uint32_t orl_crc32(const void *bytes, size_t n, uint32_t crc);
