@@ -60,7 +60,7 @@ $B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a)
 	@mkdir -p $(@D)
 	$(if $(filter host,$(BOARD)),$(CXX) $(LINK) -Wl$(,)--as-needed -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(MPI_LIBS),$(CC) $(LINK) -o $@ $^) $(LIBS)
 # what was compiled before a library arrived is compiled again
-$(shell mkdir -p $B && echo '$(CC) $(FLAGS) $(TRAIN_ARCH)' | cmp -s - $B/flags || echo '$(CC) $(FLAGS) $(TRAIN_ARCH)' > $B/flags)
+$(shell mkdir -p $B && echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI)' | cmp -s - $B/flags || echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI)' > $B/flags)
 $B/obj/%.o: %.c $B/flags
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<
