@@ -499,9 +499,9 @@ static void start(job *j)
     for (uint32_t i = 0; sum && i < ph->obs_count; i++) {
         const world_point *q = &w->points[w->obs[ph->obs_begin + i].point];
         double uv[2], z;
-        if (!world_project(ph, q->x, uv, &z) || z < 1) continue;
+        if (!world_sees(ph, q->x, uv, &z) || z < 1) continue;
         int x = (int)(uv[0] * p->w / ph->w), y = (int)(uv[1] * p->h / ph->h);
-        if (x < 0 || y < 0 || x >= p->w || y >= p->h) continue;
+        if (x >= p->w || y >= p->h) continue;
         sum[y * p->w + x] += q->weight / (float)z;
         wt[y * p->w + x] += q->weight;
     }
