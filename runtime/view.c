@@ -115,18 +115,21 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
     h->t = (int64_t)(t * 65536 + 0.5);
 }
 
-/* The surface, or the ground where the ray meets no surface or a cut that is the ground's. */
+static int beside_box(const orl_scene *s, const double x[3]) { return x[0] < 0 || x[1] < 0 || x[0] > 8.0 * s->nb[0] || x[1] > 8.0 * s->nb[1]; }
+
+/* The surface, or the ground where the ray meets no surface, a cut that is the ground's, or the ground beside the box first. */
 static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
 {
-    double t;
+    double t = 0;
     int met = orl_march(s, o, d, h);
-    if (!s->ground_albedo || (met && !h->cut)) return met;
+    if (!s->ground_albedo) return met;
     int falls = ground_meet(s, o, d, &t);
     if (!met && !falls) return 0;
     if (met) {
-        double hit = (double)h->t / 65536, x[3] = { o[0] + hit * d[0], o[1] + hit * d[1], o[2] + hit * d[2] };
-        if (over_ground(s, x) > ORL_GROUND_CUT * 8 * s->nb[0]) return 1;
-        if (!falls || hit < t) t = hit;
+        double hit = (double)h->t / 65536, at[3] = { o[0] + hit * d[0], o[1] + hit * d[1], o[2] + hit * d[2] }, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
+        int before = falls && t < hit;
+        if (!(before && beside_box(s, down)) && (!h->cut || over_ground(s, at) > ORL_GROUND_CUT * 8 * s->nb[0])) return 1;
+        if (!before) t = hit;
     }
     ground_hit(s, o, d, t, h);
     return 1;

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <cmocka.h>
+#include "trainer/stereo.h"
 #include "trainer/surface.h"
 
 enum { SIDE = 64, VIEWS = 16, W = 96, BRICKS = SIDE / 8 };
@@ -84,6 +85,50 @@ static void fat_ball_gets_its_size_back(void **state)
     }
 }
 
+/* Stone that one photo's mask calls sky, and others' stereo points lie on, is unknown; the sky around the ball stays sky. */
+static void stone_is_no_sky(void **state)
+{
+    (void)state;
+    world w;
+    surface s;
+    stereo st = { .begin = calloc(VIEWS + 1, sizeof *st.begin) };
+    make(&w, &s, 3);
+    st.points = malloc(sizeof *st.points * VIEWS * W * W);
+    for (int k = 0; k < VIEWS; k++) {
+        const world_photo *p = &w.photos[k];
+        for (int i = 0; i < W * W; i++) {       /* the ball as each photo measures it */
+            float d[3], along = 0, off = 0;
+            world_ray(p, i % W + 0.5, i / W + 0.5, d);
+            for (int a = 0; a < 3; a++) along += d[a] * (MIDDLE - (float)p->centre[a]);
+            for (int a = 0; a < 3; a++) { float m = (float)p->centre[a] + along * d[a] - MIDDLE; off += m * m; }
+            if (off > TRUE_RADIUS * TRUE_RADIUS) continue;
+            stereo_point *q = &st.points[st.npoints++];
+            float t = along - sqrtf(TRUE_RADIUS * TRUE_RADIUS - off);
+            for (int a = 0; a < 3; a++) q->n[a] = ((q->x[a] = (float)p->centre[a] + t * d[a]) - MIDDLE) / TRUE_RADIUS;
+            q->photo = (uint32_t)k;
+            q->weight = 1;
+        }
+        st.begin[k + 1] = st.npoints;
+    }
+    int patch[3] = { 0 }, sky = 0, lost = 0;
+    uint8_t *was = malloc(VIEWS * W * W);
+    for (int i = 0; i < VIEWS * W * W; i++) was[i] = (uint8_t)world_label(&w.photos[i / (W * W)], i % W, i / W % W);
+    assert_int_equal(hull_unsky(&w, &st, 2), ORL_OK);
+    for (int k = 0; k < VIEWS; k++)
+        for (int i = 0; i < W * W; i++) {
+            int label = world_label(&w.photos[k], i % W, i / W);
+            if (k == 3 && abs(i % W - W / 2) < 6 && abs(i / W - W / 2) < 6) { patch[label]++; continue; }
+            sky += was[k * W * W + i] == WORLD_SKY;
+            lost += was[k * W * W + i] != label;
+        }
+    assert_int_equal(patch[WORLD_UNKNOWN], 11 * 11);
+    assert_true(sky > VIEWS * W * W / 2 && lost == 0);
+    free(was);
+    stereo_free(&st);
+    surface_free(&s);
+    world_free(&w);
+}
+
 /* A single photo takes off a skin, photos without sky nothing. */
 static void few_change_little(void **state)
 {
@@ -113,6 +158,6 @@ static void few_change_little(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(few_change_little) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(stone_is_no_sky), cmocka_unit_test(few_change_little) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

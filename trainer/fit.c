@@ -20,7 +20,7 @@ typedef struct { const char *name; int long_side, longest, rays, steps, pixels, 
 static const preset PRESETS[] = {
     { "demo",     320, 192, 2048,  2000,  8000,  40 },
     { "quick",    384, 256, 2048,  6000, 30000,  60 },
-    { "standard", 512, 512, 4096,  6000, 90000,  50 },
+    { "standard", 640, 512, 4096,  6000, 90000,  50 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
 enum { ROUND_STEPS = 6, REFINE_ROUNDS = 6, NERFW_STEPS = 4 };      /* the baseline takes four steps of a quarter of the rays for one of stage 1: it needs steps more than rays */

@@ -377,3 +377,46 @@ void hull_relabel(world *w, const float *sdf, int cell, int threads)
     relabel_job j = { w, sdf, cell, { w->frame.dims[0] / cell + 1, w->frame.dims[1] / cell + 1, w->frame.dims[2] / cell + 1 } };
     orl_parallel(threads, w->nphotos, 1, relabel_range, &j);
 }
+
+/* Points of other photos on a photo's sky, in cells of a 128th of it and 4 pixels at least. */
+enum { UNSKY_CELLS = 128, UNSKY_LEAST = 4, UNSKY_PHOTOS = 3, UNSKY_REACH = 2, UNSKY_FULL = 21, UNSKY_STEP = 4 };
+#define UNSKY_WEIGHT 0.4f
+typedef struct { world *w; const stereo *st; int failed; } unsky_job;
+
+static void unsky_range(void *user, int begin, int end)
+{
+    unsky_job *j = user;
+    for (int k = begin; k < end; k++) {
+        world_photo *p = &j->w->photos[k];
+        int side = ((p->w > p->h ? p->w : p->h) + UNSKY_CELLS - 1) / UNSKY_CELLS;
+        side = side > UNSKY_LEAST ? side : UNSKY_LEAST;
+        int cw = p->w / side + 1, ch = p->h / side + 1;
+        struct { uint32_t last, photos; } *cell = calloc((size_t)cw * (size_t)ch, sizeof *cell);    /* last: the last photo counted, + 1 */
+        if (!cell) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); continue; }
+        for (uint32_t i = 0; i < j->st->npoints; i += UNSKY_STEP) {
+            const stereo_point *q = &j->st->points[i];
+            double uv[2];
+            if (q->photo == (uint32_t)k || q->weight < UNSKY_WEIGHT || !world_sees(p, q->x, uv, NULL)) continue;
+            size_t at = (size_t)((int)uv[1] / side) * (size_t)cw + (size_t)((int)uv[0] / side);
+            cell[at].photos += cell[at].last != q->photo + 1;
+            cell[at].last = q->photo + 1;
+        }
+        for (int y = 0; y < p->h; y++)
+            for (int x = 0; x < p->w; x++) {
+                int full = 0;
+                if (world_label(p, x, y) != WORLD_SKY) continue;
+                for (int v = y / side - UNSKY_REACH; v <= y / side + UNSKY_REACH; v++)
+                    for (int u = x / side - UNSKY_REACH; u <= x / side + UNSKY_REACH; u++)
+                        full += u >= 0 && v >= 0 && u < cw && v < ch && cell[(size_t)v * (size_t)cw + (size_t)u].photos >= UNSKY_PHOTOS;
+                if (full >= UNSKY_FULL) world_set_label(p, x, y, WORLD_UNKNOWN);
+            }
+        free(cell);
+    }
+}
+
+orl_err hull_unsky(world *w, const stereo *st, int threads)
+{
+    unsky_job j = { w, st, 0 };
+    if (st) orl_parallel(threads, w->nphotos, 1, unsky_range, &j);
+    return j.failed ? orl_fail(ORL_E_MEMORY, "sky masks: no memory") : ORL_OK;
+}

@@ -136,6 +136,7 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
     float *hull = NULL;
     s->st = st;
     orl_err e = grid_init(&s->hull, w->frame.dims, cell, 1, 0);
+    if (!e) e = hull_unsky(w, st, s->opt.threads);
     if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);
     if (e) return e;
     hull_relabel(w, hull, cell, s->opt.threads);

@@ -202,14 +202,15 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
 
 int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit)
 {
-    float t;
-    int met = surface_march(s, o, d, hit);
-    if (met && (!hit->cut || hit->x[2] - frame_ground_height(&s->f, hit->x) > ORL_GROUND_CUT * (float)s->f.dims[0])) return MET_SURFACE;
-    if (!frame_ground_hit(&s->f, o, d, &t)) {
-        if (!met) return MET_NOTHING;
-        t = hit->t;
+    float t = 0;
+    int met = surface_march(s, o, d, hit), falls = frame_ground_hit(&s->f, o, d, &t);
+    if (!met && !falls) return MET_NOTHING;
+    if (met) {
+        float x = o[0] + t * d[0], y = o[1] + t * d[1];
+        int before = falls && t < hit->t, beside = x < 0 || y < 0 || x > (float)s->f.dims[0] || y > (float)s->f.dims[1];
+        if (!(before && beside) && (!hit->cut || hit->x[2] - frame_ground_height(&s->f, hit->x) > ORL_GROUND_CUT * (float)s->f.dims[0])) return MET_SURFACE;
+        if (!before) t = hit->t;
     }
-    if (met) t = fminf(t, hit->t);
     for (int a = 0; a < 3; a++) hit->x[a] = o[a] + t * d[a];
     hit->t = t;
     hit->n[0] = hit->n[1] = 0;
