@@ -227,7 +227,7 @@ static void agrees_on_basilica(void **s)
         orl_image im, m, given;
         orl_camera cam;
         assert_int_equal(orl_photo_load(p, 512, &im, &cam), ORL_OK);
-        assert_int_equal(orl_skymask_photo(&d, i, &im, &cam, up, &m), ORL_OK);
+        assert_int_equal(orl_skymask_photo(&d, i, &im, &cam, up, NULL, &m), ORL_OK);
         assert_int_equal(orl_photo_load_mask(p, m.w, m.h, &given), ORL_OK);
         double tp = 0, fp = 0, fn = 0;
         for (int k = 0; k < m.w * m.h; k++) {

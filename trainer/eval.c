@@ -463,7 +463,7 @@ static orl_err sky_by_masks(const orl_dataset *d, const orl_scene *s, int thread
             e = orl_photo_load_mask(p, photo.w, photo.h, &mask);
             for (int k = 0; !e && k < mask.w * mask.h; k++) mask.px[k] = mask.px[k] == 128 ? 255 : 0;
         } else if (!e) {
-            e = orl_skymask_photo(d, i, &photo, &cam, up, &mask);
+            e = orl_skymask_photo(d, i, &photo, &cam, up, NULL, &mask);
         }
         if (!e) e = open_view(s, &cam, &p->pose, 2, threads, &v, &mem);
         for (int y = 0; !e && y < v.h; y++)

@@ -38,7 +38,7 @@ static orl_err mask_one(const job *j, uint32_t i, result *r)
     orl_image photo = { 0 }, prob = { 0 }, given = { 0 };
     orl_camera cam;
     orl_err e = orl_photo_load(p, j->long_side, &photo, &cam);
-    if (e || (e = orl_skymask_photo(j->d, i, &photo, &cam, j->up, &prob))) goto done;
+    if (e || (e = orl_skymask_photo(j->d, i, &photo, &cam, j->up, NULL, &prob))) goto done;
     size_t sky = 0, unknown = 0, n = (size_t)prob.w * (size_t)prob.h;
     for (size_t k = 0; k < n; k++) {
         sky += prob.px[k] > ORL_SKY_SURE;

@@ -641,7 +641,7 @@ orl_err orl_skymask_up(const orl_dataset *d, double up[3])
     return ORL_OK;
 }
 
-orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image *photo, const orl_camera *cam, const double up[3], orl_image *prob)
+orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image *photo, const orl_camera *cam, const double up[3], const uint8_t *skip, orl_image *prob)
 {
     const orl_photo *p = &d->photos[index];
     float (*pt)[2] = malloc(((size_t)p->obs_count + d->npoints + 1) * sizeof *pt);
@@ -649,13 +649,13 @@ orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image 
     if (!pt) return orl_fail(ORL_E_MEMORY, "%s: no memory for its points", p->path);
     for (uint32_t i = 0; i < p->obs_count; i++) {
         const orl_colmap_obs *o = &d->obs[p->obs_begin + i];
-        if (o->point < 0) continue;
+        if (o->point < 0 || (skip && skip[o->point])) continue;
         pt[n][0] = o->x * (float)photo->w / (float)p->cam.w;
         pt[n++][1] = o->y * (float)photo->h / (float)p->cam.h;
     }
     for (uint32_t i = 0; i < d->npoints; i++) {
         double x[3], uv[2];
-        if (d->points[i].track_length < 3 || d->points[i].error_px > 1.5f) continue;
+        if ((skip && skip[i]) || d->points[i].track_length < 3 || d->points[i].error_px > 1.5f) continue;
         orl_pose_apply(&p->pose, d->points[i].xyz, x);
         /* Far outside the lens's field distortion may fold points back into the picture. */
         if (!(x[2] > 0) || x[0] * x[0] + x[1] * x[1] > 2 * x[2] * x[2] || !orl_camera_project(cam, x, uv)) continue;

@@ -236,7 +236,7 @@ static orl_err place(const orl_dataset *d, const reach *pts, int longest, frame 
     return ORL_OK;
 }
 
-typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; const int32_t *where; char (*why)[400]; } load_job;     /* why: the error of each photo, "" if it loads */
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; const int32_t *where; const uint8_t *skip; char (*why)[400]; } load_job;     /* skip: points that train nothing. why: the error of each photo, "" if it loads */
 
 /* A sighting of a point in reach, within the photo. */
 static int counts(const orl_photo *p, const orl_colmap_obs *o, const int32_t *where)
@@ -269,21 +269,16 @@ static orl_err load_one(const load_job *job, int k)
     memcpy(o->given_centre, o->centre, sizeof o->centre);
     memcpy(o->given_axes, o->axes, sizeof o->axes);
     snprintf(o->name, sizeof o->name, "%s", p->name);
-    double sx = (double)im.w / p->cam.w, sy = (double)im.h / p->cam.h;
-    float (*pts)[2] = malloc((p->obs_count + 1) * sizeof *pts);
     size_t n = 0, behind = 0;
     double c[3];
-    for (uint32_t i = 0; pts && i < p->obs_count; i++) {
+    for (uint32_t i = 0; i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
-        if (!counts(p, ob, job->where) || world_held_out(&job->d->points[ob->point])) continue;
-        pts[n][0] = (float)(ob->x * sx);
-        pts[n][1] = (float)(ob->y * sy);
+        if (!counts(p, ob, job->where) || job->skip[ob->point]) continue;
         n++;
         orl_pose_apply(&p->pose, job->d->points[ob->point].xyz, c);
         behind += c[2] <= 0;
     }
     if (n > 8 && 2 * behind > n) {
-        free(pts);
         orl_image_free(&im);
         return orl_fail(ORL_E_DEGENERATE, "%s: %zu of the %zu points that it sees lie behind its camera", p->path, behind, n);
     }
@@ -291,9 +286,8 @@ static orl_err load_one(const load_job *job, int k)
         e = orl_photo_load_mask(p, im.w, im.h, &sky);
         if (!e) for (int i = 0; i < im.w * im.h; i++) sky.px[i] = sky.px[i] == 128 ? 255 : 0;
     } else {
-        e = orl_skymask(&im, &o->cam, &o->pose, f->R + 6, (const float (*)[2])pts, n, &sky);
+        e = orl_skymask_photo(job->d, job->index[k], &im, &cam, f->R + 6, job->skip, &sky);
     }
-    free(pts);
     if (!e) e = world_photo_fill(o, im.w, im.h, im.px, sky.px, job->packed);
     orl_image_free(&im);
     orl_image_free(&sky);
@@ -318,15 +312,17 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
     w.photos = calloc(d->nphotos, sizeof *w.photos);
     w.points = calloc(d->npoints, sizeof *w.points);
     w.obs = calloc(d->nobs + 1, sizeof *w.obs);
-    if (!index || !why || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
+    uint8_t *skip = malloc((size_t)d->npoints + 1);
+    if (!index || !why || !skip || !w.photos || !w.points || !w.obs) { e = orl_fail(ORL_E_MEMORY, "%s: no memory", d->dir); goto done; }
     for (uint32_t i = 0; i < d->nphotos; i++) if (!d->photos[i].test) index[w.nphotos++] = i;
+    for (uint32_t i = 0; i < d->npoints; i++) skip[i] = pts.where[i] < 0 || world_held_out(&d->points[i]);
     size_t plain = 0;
     for (int k = 0; k < w.nphotos; k++) {
         const orl_camera *c = &d->photos[index[k]].cam;
         double shrink = fmin(1, (double)long_side / (c->w > c->h ? c->w : c->h));
         plain += (size_t)(3 * shrink * shrink * c->w * c->h);
     }
-    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, pts.where, why };
+    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, pts.where, skip, why };
     orl_parallel(threads, w.nphotos, 1, load_range, &job);
     int kept = 0;
     for (int k = 0; k < w.nphotos; k++) {
@@ -339,7 +335,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_begin = w.nobs;
         for (uint32_t i = 0; i < p->obs_count; i++) {
             const orl_colmap_obs *ob = &d->obs[p->obs_begin + i];
-            if (!counts(p, ob, pts.where) || world_held_out(&d->points[ob->point])) continue;
+            if (!counts(p, ob, pts.where) || skip[ob->point]) continue;
             w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)pts.where[ob->point] };
         }
         o->obs_count = w.nobs - o->obs_begin;
@@ -372,6 +368,7 @@ done:
     world_free(&w);
     free(pts.x);
     free(pts.where);
+    free(skip);
     free(index);
     free(why);
     return e;

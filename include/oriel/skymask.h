@@ -13,8 +13,8 @@ orl_err orl_skymask(const orl_image *photo, const orl_camera *cam, const orl_pos
                     const float (*points)[2], size_t npoints, orl_image *prob);
 
 /* The same for photo number `index` of a dataset: besides its own observations, all well-measured SfM points are projected into it (seen or hidden, the sky is not there), which
- * is several times the evidence and all there is on a test photo. photo and cam as orl_photo_load gives them. */
-orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image *photo, const orl_camera *cam, const double up[3], orl_image *prob);
+ * is several times the evidence and all there is on a test photo. photo and cam as orl_photo_load gives them. skip (NULL: none): of each of the dataset's points, 1 if it is not to be asked. */
+orl_err orl_skymask_photo(const orl_dataset *d, uint32_t index, const orl_image *photo, const orl_camera *cam, const double up[3], const uint8_t *skip, orl_image *prob);
 
 /* World up of a dataset: the direction most orthogonal to the training cameras' x axes, leaning a little on their mean y axis where they all look one way. ORL_E_DEGENERATE without cameras. */
 orl_err orl_skymask_up(const orl_dataset *d, double up[3]);

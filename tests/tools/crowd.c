@@ -45,7 +45,7 @@ int main(int argc, char **argv)
         const orl_photo *p = &d.photos[base[b]];
         orl_image im, sky, big;
         orl_camera cam;
-        if (orl_photo_load(p, 0, &im, &cam) || orl_skymask_photo(&d, base[b], &im, &cam, up, &sky)) return fail();
+        if (orl_photo_load(p, 0, &im, &cam) || orl_skymask_photo(&d, base[b], &im, &cam, up, NULL, &sky)) return fail();
         int w = width, h = (int)((long)width * im.h / im.w), bw = w + w / 12, bh = h + h / 12;
         if (orl_image_resize_area(&im, bw, bh, &big)) return fail();
         for (int k = (int)b; k < n; k += (int)bases) {
