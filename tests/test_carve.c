@@ -93,6 +93,7 @@ static void stone_is_no_sky(void **state)
     surface s;
     stereo st = { .begin = calloc(VIEWS + 1, sizeof *st.begin) };
     make(&w, &s, 3);
+    for (int i = 0; i < W * W * 7 / 8; i++) world_set_label(&w.photos[3], i % W, i / W, abs(i % W - W / 2) < 6 && abs(i / W - W / 2) < 6 ? WORLD_SKY : WORLD_SCENE);    /* the patch is a share of its sky */
     st.points = malloc(sizeof *st.points * VIEWS * W * W);
     for (int k = 0; k < VIEWS; k++) {
         const world_photo *p = &w.photos[k];

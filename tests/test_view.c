@@ -163,6 +163,25 @@ static void test_hole(void **state)
         free(b.block);
     }
     scene.bmap = whole;
+
+    /* an eye beside the box sees the ground before the solid's side */
+    double beside[3] = { -30, 32, SYNTH_GROUND + 10 }, middle[3] = { 32, 32, SYNTH_GROUND };
+    built b;
+    int before = 0;
+    pose = synth_look(&scene, beside, middle);
+    scene.ground[0] = (float)SYNTH_GROUND;
+    build(&b, &cam, &pose, 1, 2);
+    for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+        orl_sample s;
+        orl_view_sample(&b.v, x, y, &s);
+        double t = s.dir[2] < -0.01 ? -10 / s.dir[2] : 0;
+        if (t <= 0 || beside[0] + t * s.dir[0] > -0.5) continue;
+        assert_true(s.albedo[1] > 0.6f && s.albedo[0] < 0.01f && s.normal[2] > 0.999f);
+        assert_true(fabs(b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - t) < 0.1);
+        before++;
+    }
+    assert_true(before > 1000);
+    free(b.block);
     scene.ground_albedo = NULL;
     free(holed);
 }

@@ -7,7 +7,7 @@
 #include "oriel/parallel.h"
 #include "trainer/surface.h"
 
-enum { VOTERS = 128, MAP_PIXELS = 1 << 18, UNIT = 8, SHARE = 32, MOST_NEED = VOTERS / SHARE + 2 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
+enum { VOTERS = 128, MAP_PIXELS = 1 << 19, UNIT = 8, SHARE = 32, MOST_NEED = VOTERS / SHARE + 2 };   /* UNIT: steps a pixel in a map. SHARE: one more photo must agree for so many that take the vertex in */
 #define BAND 3.0f               /* fine cells: bounds are cut here, and what is deeper inside stays */
 #define SKIN 2.0f               /* fine cells */
 

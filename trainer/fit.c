@@ -29,7 +29,7 @@ static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
-    "      --preset NAME      demo, quick, standard (default) or full: about 2, 6, 25, 180 minutes on two cores\n"
+    "      --preset NAME      demo, quick, standard (default) or full: about 2, 8, 30, 180 minutes on two cores\n"
     "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky, --no-masks and --refine-poses again)\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"

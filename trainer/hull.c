@@ -379,7 +379,7 @@ void hull_relabel(world *w, const float *sdf, int cell, int threads)
 }
 
 /* Points of other photos on a photo's sky, in cells of a 128th of it and 4 pixels at least. */
-enum { UNSKY_CELLS = 128, UNSKY_LEAST = 4, UNSKY_PHOTOS = 3, UNSKY_REACH = 2, UNSKY_FULL = 21, UNSKY_STEP = 4 };
+enum { UNSKY_CELLS = 128, UNSKY_LEAST = 4, UNSKY_PHOTOS = 3, UNSKY_REACH = 2, UNSKY_FULL = 21, UNSKY_STEP = 4, UNSKY_SHARE = 20 };
 #define UNSKY_WEIGHT 0.4f
 typedef struct { world *w; const stereo *st; int failed; } unsky_job;
 
@@ -401,15 +401,20 @@ static void unsky_range(void *user, int begin, int end)
             cell[at].photos += cell[at].last != q->photo + 1;
             cell[at].last = q->photo + 1;
         }
-        for (int y = 0; y < p->h; y++)
-            for (int x = 0; x < p->w; x++) {
-                int full = 0;
-                if (world_label(p, x, y) != WORLD_SKY) continue;
-                for (int v = y / side - UNSKY_REACH; v <= y / side + UNSKY_REACH; v++)
-                    for (int u = x / side - UNSKY_REACH; u <= x / side + UNSKY_REACH; u++)
-                        full += u >= 0 && v >= 0 && u < cw && v < ch && cell[(size_t)v * (size_t)cw + (size_t)u].photos >= UNSKY_PHOTOS;
-                if (full >= UNSKY_FULL) world_set_label(p, x, y, WORLD_UNKNOWN);
-            }
+        /* A silhouette's rim meets points too: only a mask that is wrong over a share of its sky is touched. */
+        size_t sky = 0, stone = 0;
+        for (int clear = 0; clear < 1 + (stone && stone * UNSKY_SHARE >= sky); clear++)
+            for (int y = 0; y < p->h; y++)
+                for (int x = 0; x < p->w; x++) {
+                    int full = 0;
+                    if (world_label(p, x, y) != WORLD_SKY) continue;
+                    for (int v = y / side - UNSKY_REACH; v <= y / side + UNSKY_REACH; v++)
+                        for (int u = x / side - UNSKY_REACH; u <= x / side + UNSKY_REACH; u++)
+                            full += u >= 0 && v >= 0 && u < cw && v < ch && cell[(size_t)v * (size_t)cw + (size_t)u].photos >= UNSKY_PHOTOS;
+                    sky += !clear;
+                    stone += !clear && full >= UNSKY_FULL;
+                    if (clear && full >= UNSKY_FULL) world_set_label(p, x, y, WORLD_UNKNOWN);
+                }
         free(cell);
     }
 }

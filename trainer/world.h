@@ -98,7 +98,7 @@ uint8_t *world_cover(const world *w, int most, size_t pixels);
 struct stereo;
 /* Finds the ground (frame.ground). First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
 orl_err hull_build(world *w, const struct stereo *st, int cell, int threads, float **sdf);
-/* Pixels labelled sky with stereo points of three or more other photos all around become unknown: stone in the sun taken for sky. ORL_E_MEMORY. */
+/* Pixels labelled sky with stereo points of three or more other photos all around become unknown where a photo has many: stone in the sun taken for sky. ORL_E_MEMORY. */
 orl_err hull_unsky(world *w, const struct stereo *st, int threads);
 /* Pixels labelled scene whose rays miss the hull (clouds taken for stone, a background outside the box) become unknown: nothing is asked of the surface there. */
 void hull_relabel(world *w, const float *sdf, int cell, int threads);
