@@ -391,7 +391,7 @@ static void unsky_range(void *user, int begin, int end)
         int side = ((p->w > p->h ? p->w : p->h) + UNSKY_CELLS - 1) / UNSKY_CELLS;
         side = side > UNSKY_LEAST ? side : UNSKY_LEAST;
         int cw = p->w / side + 1, ch = p->h / side + 1;
-        struct { uint32_t last, photos; } *cell = calloc((size_t)cw * (size_t)ch, sizeof *cell);    /* last: the last photo counted, + 1 */
+        struct { uint32_t last, photos, stone; } *cell = calloc((size_t)cw * (size_t)ch, sizeof *cell);     /* last: the last photo counted, + 1 */
         if (!cell) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); continue; }
         for (uint32_t i = 0; i < j->st->npoints; i += UNSKY_STEP) {
             const stereo_point *q = &j->st->points[i];
@@ -401,20 +401,25 @@ static void unsky_range(void *user, int begin, int end)
             cell[at].photos += cell[at].last != q->photo + 1;
             cell[at].last = q->photo + 1;
         }
+        for (int y = 0; y < ch; y++)
+            for (int x = 0; x < cw; x++) {
+                int full = 0;
+                for (int v = y - UNSKY_REACH; v <= y + UNSKY_REACH; v++)
+                    for (int u = x - UNSKY_REACH; u <= x + UNSKY_REACH; u++) full += u >= 0 && v >= 0 && u < cw && v < ch && cell[(size_t)v * (size_t)cw + (size_t)u].photos >= UNSKY_PHOTOS;
+                cell[(size_t)y * (size_t)cw + (size_t)x].stone = full >= UNSKY_FULL;
+            }
         /* A silhouette's rim meets points too: only a mask that is wrong over a share of its sky is touched. */
         size_t sky = 0, stone = 0;
-        for (int clear = 0; clear < 1 + (stone && stone * UNSKY_SHARE >= sky); clear++)
-            for (int y = 0; y < p->h; y++)
-                for (int x = 0; x < p->w; x++) {
-                    int full = 0;
-                    if (world_label(p, x, y) != WORLD_SKY) continue;
-                    for (int v = y / side - UNSKY_REACH; v <= y / side + UNSKY_REACH; v++)
-                        for (int u = x / side - UNSKY_REACH; u <= x / side + UNSKY_REACH; u++)
-                            full += u >= 0 && v >= 0 && u < cw && v < ch && cell[(size_t)v * (size_t)cw + (size_t)u].photos >= UNSKY_PHOTOS;
-                    sky += !clear;
-                    stone += !clear && full >= UNSKY_FULL;
-                    if (clear && full >= UNSKY_FULL) world_set_label(p, x, y, WORLD_UNKNOWN);
-                }
+        for (int i = 0; i < p->w * p->h; i++) {
+            int x = i % p->w, y = i / p->w;
+            if (world_label(p, x, y) != WORLD_SKY) continue;
+            sky++;
+            stone += cell[(size_t)(y / side) * (size_t)cw + (size_t)(x / side)].stone;
+        }
+        for (int i = 0; i < p->w * p->h && stone * UNSKY_SHARE >= sky; i++) {
+            int x = i % p->w, y = i / p->w;
+            if (world_label(p, x, y) == WORLD_SKY && cell[(size_t)(y / side) * (size_t)cw + (size_t)(x / side)].stone) world_set_label(p, x, y, WORLD_UNKNOWN);
+        }
         free(cell);
     }
 }

@@ -236,12 +236,12 @@ static orl_err place(const orl_dataset *d, const reach *pts, int longest, frame 
     return ORL_OK;
 }
 
-typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; const int32_t *where; const uint8_t *skip; char (*why)[400]; } load_job;     /* skip: points that train nothing. why: the error of each photo, "" if it loads */
+typedef struct { const orl_dataset *d; world *w; int long_side, use_masks, packed; const uint32_t *index; const uint8_t *skip; char (*why)[400]; } load_job;     /* skip: points out of reach or held out. why: the error of each photo, "" if it loads */
 
-/* A sighting of a point in reach, within the photo. */
-static int counts(const orl_photo *p, const orl_colmap_obs *o, const int32_t *where)
+/* A sighting of a point that trains, within the photo. */
+static int counts(const orl_photo *p, const orl_colmap_obs *o, const uint8_t *skip)
 {
-    return o->point >= 0 && where[o->point] >= 0 && o->x >= 0 && o->y >= 0 && o->x <= (float)p->cam.w && o->y <= (float)p->cam.h;
+    return o->point >= 0 && !skip[o->point] && o->x >= 0 && o->y >= 0 && o->x <= (float)p->cam.w && o->y <= (float)p->cam.h;
 }
 
 int world_held_out(const orl_colmap_point *p)
@@ -273,7 +273,7 @@ static orl_err load_one(const load_job *job, int k)
     double c[3];
     for (uint32_t i = 0; i < p->obs_count; i++) {
         const orl_colmap_obs *ob = &job->d->obs[p->obs_begin + i];
-        if (!counts(p, ob, job->where) || job->skip[ob->point]) continue;
+        if (!counts(p, ob, job->skip)) continue;
         n++;
         orl_pose_apply(&p->pose, job->d->points[ob->point].xyz, c);
         behind += c[2] <= 0;
@@ -322,7 +322,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         double shrink = fmin(1, (double)long_side / (c->w > c->h ? c->w : c->h));
         plain += (size_t)(3 * shrink * shrink * c->w * c->h);
     }
-    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, pts.where, skip, why };
+    load_job job = { d, &w, long_side, use_masks, plain > WORLD_PLAIN_BYTES, index, skip, why };
     orl_parallel(threads, w.nphotos, 1, load_range, &job);
     int kept = 0;
     for (int k = 0; k < w.nphotos; k++) {
@@ -335,7 +335,7 @@ orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_mas
         o->obs_begin = w.nobs;
         for (uint32_t i = 0; i < p->obs_count; i++) {
             const orl_colmap_obs *ob = &d->obs[p->obs_begin + i];
-            if (!counts(p, ob, pts.where) || skip[ob->point]) continue;
+            if (!counts(p, ob, skip)) continue;
             w.obs[w.nobs++] = (world_obs){ (float)(ob->x * o->w / p->cam.w), (float)(ob->y * o->h / p->cam.h), (uint32_t)pts.where[ob->point] };
         }
         o->obs_count = w.nobs - o->obs_begin;
