@@ -1,0 +1,297 @@
+/* Local planes (complete.h). Points are averaged over voxels; for every block of the hull's surface that no point lies near, the plane through a voxel and its normal that most of its
+ * neighbourhood agrees on is refined by least squares. It must have enough support, little behind it (photos would have seen through it) and lie near the block. */
+#include "trainer/complete.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/parallel.h"
+
+enum { VOXEL = 2, BLOCK = 8, TRIES = 64, REFITS = 3, LEAST = 40, STEP = 2, RAYS = 16 << 20 };    /* VOXEL, BLOCK: fine cells. STEP: pixels between two rays, more than RAYS of which widen it */
+#define REACH 16.0f             /* fine cells around a block: whence its plane */
+#define THIN 1.0f               /* fine cells off a plane that still lie in it */
+#define ALIKE 0.8f              /* cosine between its normal and theirs */
+#define FRONT 2.0f              /* a plane may lie so far before the hull, */
+#define BACK 12.0f              /* or so far behind it */
+#define FACING 0.12f            /* cosine under which a ray only grazes a plane */
+#define SOUND 8.0f              /* voxels, nearer ones counting more, that make a plane */
+#define AGAINST 0.5f            /* what a voxel behind it takes off */
+#define FIRM 0.5f               /* weight that makes a voxel count */
+
+typedef struct { float x[3], n[3], w; } voxel;
+typedef struct { float n[3], d; } plane;        /* n . x = d; the normal looks to where it is free */
+typedef struct { plane in; int marked, sound; } cube;
+typedef struct {
+    const world *w; const stereo *st; const grid *hull;
+    int nv[3], nb[3];
+    uint32_t *at;                   /* per voxel of the lattice: index + 1 */
+    voxel *v;
+    cube *b;
+    stereo_point **more; uint32_t *nmore;       /* of each photo */
+    int failed, emit, step;
+} job;
+
+static size_t place(const int n[3], const float x[3], float size)
+{
+    size_t at = 0;
+    for (int a = 2; a >= 0; a--) {
+        int i = (int)(x[a] / size);
+        at = at * (size_t)n[a] + (size_t)(i < 0 ? 0 : i >= n[a] ? n[a] - 1 : i);
+    }
+    return at;
+}
+
+static int inside(const world *w, const float x[3]) { return x[0] >= 0 && x[1] >= 0 && x[2] >= 0 && x[0] <= (float)w->frame.dims[0] && x[1] <= (float)w->frame.dims[1] && x[2] <= (float)w->frame.dims[2]; }
+
+/* NULL: holds too little. */
+static const voxel *voxel_at(const job *j, int x, int y, int z)
+{
+    if (x < 0 || y < 0 || z < 0 || x >= j->nv[0] || y >= j->nv[1] || z >= j->nv[2]) return NULL;
+    uint32_t at = j->at[((size_t)z * (size_t)j->nv[1] + (size_t)y) * (size_t)j->nv[0] + (size_t)x];
+    return at && j->v[at - 1].w >= FIRM ? &j->v[at - 1] : NULL;
+}
+
+/* ---- planes ---- */
+
+static float over(const plane *p, const float x[3]) { return p->n[0] * x[0] + p->n[1] * x[1] + p->n[2] * x[2] - p->d; }
+static float alike(const plane *p, const voxel *v) { return p->n[0] * v->n[0] + p->n[1] * v->n[1] + p->n[2] * v->n[2]; }
+
+/* Voxels that lie in it, the nearer to c and to it the more, less those behind it. 0: too far from c. */
+static float plane_score(const plane *p, const voxel *const *near, int n, const float c[3])
+{
+    float in = 0, behind = 0, from = over(p, c);
+    if (from > BACK + BLOCK / 2 || from < -FRONT - BLOCK / 2) return 0;
+    for (int i = 0; i < n; i++) {
+        float h = over(p, near[i]->x), same = alike(p, near[i]), away = 0;
+        for (int a = 0; a < 3; a++) away += (near[i]->x[a] - c[a]) * (near[i]->x[a] - c[a]);
+        float w = 1 / (1 + away / (0.25f * REACH * REACH));
+        if (fabsf(h) < THIN && same > ALIKE) in += w * (1 - h * h / (THIN * THIN));
+        else if (h < -2 * THIN && same > 0) behind += w;
+    }
+    return in - AGAINST * behind;
+}
+
+/* Least squares on the voxels that lie in p: through their mean, its normal their scatter's smallest eigenvector (inverse iteration, from p's). 0: too few. */
+static int plane_fit(const plane *p, const voxel *const *near, int n, plane *out)
+{
+    double m[6] = { 0 }, mean[3] = { 0 }, count = 0;
+    for (int pass = 0; pass < 2; pass++)
+        for (int i = 0; i < n; i++) {
+            const float *x = near[i]->x;
+            if (!(fabsf(over(p, x)) < THIN) || !(alike(p, near[i]) > ALIKE)) continue;
+            if (!pass) {
+                for (int a = 0; a < 3; a++) mean[a] += x[a];
+                count++;
+                continue;
+            }
+            double e[3] = { x[0] - mean[0] / count, x[1] - mean[1] / count, x[2] - mean[2] / count };
+            m[0] += e[0] * e[0]; m[1] += e[0] * e[1]; m[2] += e[0] * e[2]; m[3] += e[1] * e[1]; m[4] += e[1] * e[2]; m[5] += e[2] * e[2];
+        }
+    if (count < 4) return 0;
+    memcpy(out->n, p->n, sizeof out->n);
+    double t = 1e-6 * (m[0] + m[3] + m[5]) + 1e-12, a = m[0] + t, b = m[1], c = m[2], d = m[3] + t, e = m[4], f = m[5] + t;
+    double i0 = d * f - e * e, i1 = c * e - b * f, i2 = b * e - c * d, i3 = a * f - c * c, i4 = b * c - a * e, i5 = a * d - b * b;     /* the inverse, but for a factor */
+    for (int k = 0; k < 8; k++) {
+        const float *v = out->n;
+        double x = i0 * v[0] + i1 * v[1] + i2 * v[2], y = i1 * v[0] + i3 * v[1] + i4 * v[2], z = i2 * v[0] + i4 * v[1] + i5 * v[2], l = sqrt(x * x + y * y + z * z);
+        if (!(l > 0)) return 0;
+        out->n[0] = (float)(x / l); out->n[1] = (float)(y / l); out->n[2] = (float)(z / l);
+    }
+    out->d = (float)((out->n[0] * mean[0] + out->n[1] * mean[1] + out->n[2] * mean[2]) / count);
+    return 1;
+}
+
+/* The best of TRIES planes through a voxel with its normal, refitted while that makes it better. */
+static float plane_find(const voxel *const *near, int n, const float c[3], rng dice, plane *best)
+{
+    float most = 0;
+    for (int k = 0; k < TRIES + REFITS; k++) {
+        plane p = { .d = 0 };
+        if (k < TRIES) {
+            const voxel *v = near[rng_below(&dice, (uint32_t)n)];
+            memcpy(p.n, v->n, sizeof p.n);
+            p.d = over(&p, v->x);
+        } else if (!(most > 0) || !plane_fit(best, near, n, &p)) break;
+        float score = plane_score(&p, near, n, c);
+        if (!(score > most)) continue;
+        most = score;
+        *best = p;
+    }
+    return most;
+}
+
+static void block_range(void *user, int begin, int end)
+{
+    enum { R = (int)REACH / VOXEL, SIDE = 2 * R + 1 };
+    job *j = user;
+    const voxel **near = malloc((size_t)SIDE * SIDE * SIDE * sizeof *near);
+    if (!near) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); return; }
+    for (int i = begin; i < end; i++) {
+        cube *b = &j->b[i];
+        if (!b->marked) continue;
+        int at[3] = { i % j->nb[0], i / j->nb[0] % j->nb[1], i / j->nb[0] / j->nb[1] }, q[3], n = 0;
+        float c[3];
+        for (int a = 0; a < 3; a++) {
+            c[a] = (float)BLOCK * ((float)at[a] + 0.5f);
+            q[a] = (int)c[a] / VOXEL;
+        }
+        for (int z = q[2] - R; z <= q[2] + R; z++)
+            for (int y = q[1] - R; y <= q[1] + R; y++)
+                for (int x = q[0] - R; x <= q[0] + R; x++) {
+                    const voxel *v = voxel_at(j, x, y, z);
+                    if (v) near[n++] = v;
+                }
+        b->sound = n >= LEAST && plane_find(near, n, c, rng_make(0xb10c, (uint64_t)i, 0), &b->in) > SOUND;
+    }
+    free(near);
+}
+
+/* ---- rays ---- */
+
+/* Where a ray first meets the hull; t, 0 = nowhere. */
+static float meet(const job *j, const float o[3], const float d[3], float x[3])
+{
+    float t, t1, before = 0;
+    if (!box_clip(j->w->frame.dims, o, d, &t, &t1)) return 0;
+    int out = 0;
+    for (int k = 0; k < 512 && t < t1; k++) {
+        for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
+        grid_cell c;
+        grid_find(j->hull, x, &c);
+        float f = grid_value(j->hull, &c, NULL);
+        if (f <= 0 && out) {
+            float s = before / (before - f), back = fmaxf(0.9f * before, 0.5f) * (1 - s);
+            t -= back;
+            for (int a = 0; a < 3; a++) x[a] = o[a] + t * d[a];
+            return t;
+        }
+        out |= f > 0;
+        before = f;
+        t += fmaxf(0.9f * f, 0.5f);
+    }
+    return 0;
+}
+
+static int bare(const job *j, const float x[3])
+{
+    int q[3];
+    for (int a = 0; a < 3; a++) q[a] = (int)(x[a] / VOXEL);
+    for (int k = 0; k < 27; k++) if (voxel_at(j, q[0] + k % 3 - 1, q[1] + k / 3 % 3 - 1, q[2] + k / 9 - 1)) return 0;
+    return 1;
+}
+
+/* Every photo's rays through pixels that have no point of their own. emit 0: marks the blocks that they meet bare; 1: puts points on the blocks' planes. */
+static void photo_range(void *user, int begin, int end)
+{
+    job *j = user;
+    for (int k = begin; k < end; k++) {
+        const world_photo *p = &j->w->photos[k];
+        int step = j->step, hw = p->w / step + 1, hh = p->h / step + 1;
+        uint8_t *has = calloc((size_t)hw * (size_t)hh, 1);
+        uint32_t cap = 0;
+        if (!has) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); continue; }
+        for (uint32_t i = j->st->begin[k]; i < j->st->begin[k + 1]; i++) {
+            double uv[2];
+            if (world_sees(p, j->st->points[i].x, uv, NULL)) has[(int)uv[1] / step * hw + (int)uv[0] / step] = 1;
+        }
+        float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] };
+        for (int y = 0; y + step <= p->h; y += step)
+            for (int x = 0; x + step <= p->w; x += step) {
+                if (has[y / step * hw + x / step] || world_label(p, x + step / 2, y + step / 2) == WORLD_SKY) continue;
+                float d[3], at[3];
+                world_ray(p, x + 0.5 * step, y + 0.5 * step, d);
+                float t = meet(j, o, d, at);
+                if (!(t > 0) || !bare(j, at)) continue;
+                cube *b = &j->b[place(j->nb, at, BLOCK)];
+                if (!j->emit) {
+                    __atomic_store_n(&b->marked, 1, __ATOMIC_RELAXED);
+                    continue;
+                }
+                if (!b->sound) continue;
+                float facing = -(b->in.n[0] * d[0] + b->in.n[1] * d[1] + b->in.n[2] * d[2]), off = over(&b->in, at);
+                if (!(facing > FACING) || off > BACK || off < -FRONT) continue;
+                if (j->nmore[k] == cap) {
+                    stereo_point *more = realloc(j->more[k], (cap = cap ? 2 * cap : 1024) * sizeof *more);
+                    if (!more) {
+                        __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED);
+                        free(has);
+                        return;
+                    }
+                    j->more[k] = more;
+                }
+                stereo_point *q = &j->more[k][j->nmore[k]++];
+                for (int a = 0; a < 3; a++) { q->x[a] = at[a] + off / facing * d[a]; q->n[a] = b->in.n[a]; }
+                q->photo = (uint32_t)k;
+                q->weight = COMPLETE_WEIGHT;
+            }
+        free(has);
+    }
+}
+
+orl_err complete_planes(const world *w, const stereo *st, const grid *hull, int threads, stereo *out)
+{
+    job j = { .w = w, .st = st, .hull = hull };
+    size_t lattice = 1, blocks = 1, photos = (size_t)w->nphotos;
+    uint32_t nv = 0, cap = 0;
+    double pixels = 0;
+    orl_err e = ORL_OK;
+    memset(out, 0, sizeof *out);
+    for (int a = 0; a < 3; a++) {
+        lattice *= (size_t)(j.nv[a] = w->frame.dims[a] / VOXEL + 1);
+        blocks *= (size_t)(j.nb[a] = w->frame.dims[a] / BLOCK + 1);
+    }
+    j.at = calloc(lattice, sizeof *j.at);
+    j.b = calloc(blocks, sizeof *j.b);
+    j.more = calloc(photos, sizeof *j.more);
+    j.nmore = calloc(photos, sizeof *j.nmore);
+    if (!j.at || !j.b || !j.more || !j.nmore) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %zu voxels", lattice); goto done; }
+    for (uint32_t i = 0; i < st->npoints; i++) {
+        const stereo_point *q = &st->points[i];
+        if (!inside(w, q->x)) continue;
+        uint32_t *at = &j.at[place(j.nv, q->x, VOXEL)];
+        if (!*at) {
+            if (nv == cap) {
+                voxel *more = realloc(j.v, (cap = cap ? 2 * cap : 1 << 16) * sizeof *more);
+                if (!more) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %u voxels", cap); goto done; }
+                j.v = more;
+            }
+            j.v[nv] = (voxel){ 0 };
+            *at = ++nv;
+        }
+        voxel *v = &j.v[*at - 1];
+        for (int a = 0; a < 3; a++) { v->x[a] += q->weight * q->x[a]; v->n[a] += q->weight * q->n[a]; }
+        v->w += q->weight;
+    }
+    for (uint32_t i = 0; i < nv; i++) {
+        voxel *v = &j.v[i];
+        float l = sqrtf(v->n[0] * v->n[0] + v->n[1] * v->n[1] + v->n[2] * v->n[2]);
+        for (int a = 0; a < 3; a++) { v->x[a] /= fmaxf(v->w, 1e-9f); v->n[a] /= fmaxf(l, 1e-9f); }
+    }
+    for (int k = 0; k < w->nphotos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
+    j.step = (int)fmax(STEP, ceil(sqrt(pixels / RAYS)));
+    orl_parallel(threads, w->nphotos, 1, photo_range, &j);
+    if (!j.failed) orl_parallel(threads, (int)blocks, 64, block_range, &j);
+    j.emit = 1;
+    if (!j.failed) orl_parallel(threads, w->nphotos, 1, photo_range, &j);
+    size_t all = st->npoints;
+    for (size_t k = 0; k < photos; k++) all += j.nmore[k];
+    out->points = malloc((all + 1) * sizeof *out->points);
+    out->begin = calloc(photos + 1, sizeof *out->begin);
+    if (j.failed || !out->points || !out->begin) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %zu points", all); goto done; }
+    for (size_t k = 0; k < photos; k++) {
+        uint32_t n = st->begin[k + 1] - st->begin[k];
+        memcpy(out->points + out->npoints, st->points + st->begin[k], n * sizeof *out->points);
+        out->npoints += n;
+        if (j.nmore[k]) memcpy(out->points + out->npoints, j.more[k], j.nmore[k] * sizeof *out->points);
+        out->npoints += j.nmore[k];
+        out->begin[k + 1] = out->npoints;
+    }
+done:
+    for (size_t k = 0; j.more && k < photos; k++) free(j.more[k]);
+    free(j.more);
+    free(j.nmore);
+    free(j.at);
+    free(j.v);
+    free(j.b);
+    if (e) stereo_free(out);
+    return e;
+}
