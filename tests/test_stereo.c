@@ -185,8 +185,46 @@ static void finds_nothing_in_nothing(void **state)
     }
 }
 
+/* Where the surface lies, a patch matches as well before as behind it; off by a cell, it matches the better the nearer the surface comes. */
+static void slopes_to_the_surface(void **state)
+{
+    (void)state;
+    world w;
+    stereo_work *s;
+    double mean[3] = { 0 };
+    int right[3] = { 0 }, n[3] = { 0 };
+    make(&w, N, 0);
+    assert_int_equal(stereo_begin(&w, 5, 1, &s), ORL_OK);
+    assert_int_equal(stereo_watch(s), ORL_OK);
+    rng r = rng_make(3, 0, 0);
+    for (int i = 0; i < 6000; i++) {
+        const world_photo *p = &w.photos[i % N];
+        int off = i / N % 3 - 1;                /* cells towards the camera */
+        float d[3], x[3], up[3] = { 0, 0, 1 };
+        world_ray(p, 8.5 + rng_below(&r, W - 16), 8.5 + rng_below(&r, H - 16), d);
+        for (int a = 0; a < 3; a++) x[a] = (float)p->centre[a] + d[a] * (10 + (float)off - (float)p->centre[2]) / d[2];
+        if (x[0] > 38 && x[0] < 58 && x[1] > 38 && x[1] < 58) continue;       /* the post and its neighbourhood */
+        float slope = stereo_slope(s, i % N, x, up, &r);
+        if (slope == 0) continue;
+        n[off + 1]++;
+        mean[off + 1] += slope;
+        right[off + 1] += off < 0 ? slope > 0 : slope < 0;
+    }
+    for (int k = 0; k < 3; k++) {
+        mean[k] /= n[k] > 0 ? n[k] : 1;
+        print_message("%+d cells: mean slope %.3f a cell of %d, %d down\n", k - 1, mean[k], n[k], right[k]);
+        assert_true(n[k] > 300);
+    }
+    assert_true(mean[0] > 0.02 && mean[2] < -0.02);
+    assert_true(fabs(mean[1]) < 0.25 * fmin(mean[0], -mean[2]));
+    assert_true(right[0] > n[0] * 8 / 10 && right[2] > n[2] * 8 / 10);
+    assert_true(stereo_slope(s, 0, (float[3]){ 40, 46, 200 }, (float[3]){ 0, 0, 1 }, &r) == 0);    /* behind the camera */
+    stereo_end(s);
+    world_free(&w);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(finds_the_plane), cmocka_unit_test(repeats), cmocka_unit_test(finds_nothing_in_nothing) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(finds_the_plane), cmocka_unit_test(repeats), cmocka_unit_test(slopes_to_the_surface), cmocka_unit_test(finds_nothing_in_nothing) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

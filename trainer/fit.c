@@ -168,7 +168,8 @@ static orl_err resume(run *r, FILE *ck)
         e = stereo_load(&r->st, &r->w, ck, path);
         if (!e) e = stage1_start(&r->s1, &r->w, &r->st);
         if (!e) e = stage1_load(&r->s1, ck, 1, path);
-        return e ? e : refine_load(&r->w, ck, path);
+        if (!e) e = refine_load(&r->w, ck, path);
+        return e ? e : stereo_watch(r->maps);
     }
     if ((e = surface_load(&r->surf, ck, path))) return e;
     stage2 skip = { 0 };
@@ -205,9 +206,7 @@ static orl_err run_stereo(run *r)
         if (stereo_can_save(r->maps) && (e = save_sometimes(r))) return e;
     }
     e = stereo_finish(r->maps, &r->st);
-    stereo_end(r->maps);
-    r->maps = NULL;
-    if (e || (e = stage1_start(&r->s1, &r->w, &r->st))) return e;
+    if (e || (e = stereo_watch(r->maps)) || (e = stage1_start(&r->s1, &r->w, &r->st))) return e;
     tell("stereo: %u points, %.1f s\n", r->st.npoints, now() - r->start);
     r->head.phase = 1;
     return save(r);
@@ -228,13 +227,17 @@ static orl_err run_stage1(run *r)
     int first = s->step;
     double t = now();
     orl_err e;
+    s->watch = r->maps;
     while (s->step < r->head.steps) {
         stage1_losses l;
         int taken = stage1_step(s, &l);
         if ((e = count_dropped(r, !taken, taken))) return e;
         if (!taken) continue;
         int every = r->head.steps / (REFINE_ROUNDS + 2);        /* once there is a surface, and not when it has settled */
-        if (r->o->refine && every && s->step % every == 0 && s->step > every && s->step <= (REFINE_ROUNDS + 1) * every) refine(r, s, s->step / every);
+        if (r->o->refine && every && s->step % every == 0 && s->step > every && s->step <= (REFINE_ROUNDS + 1) * every) {
+            refine(r, s, s->step / every);
+            if ((e = stereo_watch(r->maps))) return e;
+        }
         r->head.samples += l.samples;
         double k = s->step - first < 50 ? 1.0 / (s->step - first) : 0.02;
         for (size_t i = 0; i < sizeof l / sizeof(double); i++) ((double *)&mean)[i] += k * (((double *)&l)[i] - ((double *)&mean)[i]);
@@ -248,6 +251,8 @@ static orl_err run_stage1(run *r)
         if ((e = save_sometimes(r))) return e;
     }
     stage1_freeze(s);
+    stereo_end(r->maps);
+    r->maps = NULL;
     stereo_free(&r->st);
     if ((e = surface_build(s, &r->surf)) || (e = surface_carve(&r->surf, &r->w, r->head.threads)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
     tell("surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
@@ -307,7 +312,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     if (o->sky) { if ((e = orl_sky_load(o->sky, &r.light))) goto done; }
     else orl_light_model_default(&r.light);
     if (o->refine && head->phase <= 1) refine(&r, NULL, 0);     /* by the SfM points alone, before anything is built on it; hence again by a run that is resumed */
-    if (head->phase == 0 && (e = stereo_begin(&r.w, head->seed, head->threads, &r.maps))) goto done;
+    if (head->phase <= 1 && (e = stereo_begin(&r.w, head->seed, head->threads, &r.maps))) goto done;
     if (ck && (e = resume(&r, ck))) goto done;
     if (o->stage2) head->phase = 2;
 

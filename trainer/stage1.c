@@ -11,6 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/complete.h"
 #include "trainer/fuse.h"
 #include "trainer/ranks.h"
 
@@ -29,6 +30,8 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define LAMBDA_NORMAL 0.02f
 #define LAMBDA_FREE 0.05f
 #define LAMBDA_HULL 0.004f
+#define LAMBDA_MATCH 2.0f
+#define MATCH_MOST 0.5f          /* slope of a match, a cell: what is steeper is chance */
 #define LAMBDA_TRANSIENT 0.012f
 
 /* Vertices of a level take the lattice's values, less what the coarser level (NULL: none) says there. */
@@ -138,6 +141,13 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
     orl_err e = grid_init(&s->hull, w->frame.dims, cell, 1, 0);
     if (!e) e = hull_unsky(w, st, s->opt.threads);
     if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);
+    if (!e && st && st->npoints) {
+        start_level(&s->hull, w->frame.dims, hull, cell, NULL);
+        free(hull);
+        e = complete_planes(w, st, &s->hull, s->opt.threads, &s->whole);
+        s->st = &s->whole;
+        if (!e) e = hull_build(w, s->st, cell, s->opt.threads, &hull);
+    }
     if (e) return e;
     hull_relabel(w, hull, cell, s->opt.threads);
     start_level(&s->hull, w->frame.dims, hull, cell, NULL);
@@ -176,7 +186,9 @@ void stage1_freeze(stage1 *s)
     grid_freeze(&s->transient);
     grid_free(&s->hull);
     grid_free(&s->fused);
+    stereo_free(&s->whole);
     s->st = NULL;
+    s->watch = NULL;
 }
 
 void stage1_free(stage1 *s)
@@ -187,6 +199,7 @@ void stage1_free(stage1 *s)
     grid_free(&s->fused);
     grid_free(&s->codes);
     grid_free(&s->transient);
+    stereo_free(&s->whole);
 }
 
 /* Coarse to fine: the finest level in use, and the width of the logistic in fine cells. */
@@ -316,6 +329,29 @@ static void train_free(step_job *job, int thread, rng *r, const float o[3], cons
     sdf_back(s, thread, job->c.finest, &e, LAMBDA_FREE * huber_slope(e.f - want, 2.0f), NULL);
 }
 
+/* Where the ray meets the surface, the photo's patch shall match what others show: moves the crossing to where it does so best. */
+static void train_match(step_job *job, int thread, rng *r, int photo, const float d[3], const ray_sample *ray, int n)
+{
+    stage1 *s = job->s;
+    int k = 1;
+    while (k < n && !(ray[k].chained && ray[k].p.f <= 0 && ray[k - 1].p.f > 0)) k++;
+    if (k >= n) return;
+    float share = ray[k - 1].p.f / (ray[k - 1].p.f - ray[k].p.f), x[3], normal[3], len = 0, facing = 0;
+    for (int a = 0; a < 3; a++) x[a] = ray[k - 1].x[a] + share * (ray[k].x[a] - ray[k - 1].x[a]);
+    sdf_point e;
+    sdf_eval(s, job->c.finest, x, &e);
+    for (int a = 0; a < 3; a++) len += e.grad[a] * e.grad[a];
+    len = sqrtf(len) + 1e-6f;
+    for (int a = 0; a < 3; a++) {
+        normal[a] = e.grad[a] / len;
+        facing -= normal[a] * d[a];
+    }
+    if (facing < 0.15f) return;
+    float slope = stereo_slope(s->watch, photo, x, normal, r);
+    slope = fminf(fmaxf(slope, -MATCH_MOST), MATCH_MOST);
+    if (slope != 0) sdf_back(s, thread, job->c.finest, &e, LAMBDA_MATCH * slope / (fmaxf(facing, 0.3f) * len), NULL);   /* d cell / d f along the ray: 1 / -(grad . d) */
+}
+
 static void train_ray(step_job *job, int thread, rng *r)
 {
     stage1 *s = job->s;
@@ -428,6 +464,8 @@ static void train_ray(step_job *job, int thread, rng *r)
         }
         for (int j = 0; j < APPEARANCE; j++) { gc[j] += 1e-4f * l[j]; L->total += 0.5e-4 * l[j] * l[j]; }
     }
+
+    if (s->watch && s->heuristics && scene && W > 0.5f) train_match(job, thread, r, photo, d, ray, n);
 
     /* Reverse through the composition. */
     float inv_s = 1 / c->sigma, later = 0, carry = 0;   /* later = sum_{j>k} g_j w_j; carry = d loss / d f_k from the sample behind it */

@@ -19,7 +19,9 @@ typedef struct { double photo, sky, eikonal, points, mse, transient; double samp
 
 typedef struct {
     const world *w;
-    const stereo *st;               /* NULL: none */
+    const stereo *st;               /* what trains: `whole`; NULL: none */
+    const stereo_work *watch;       /* for stereo_slope, not owned; NULL: patches do not pull at the surface */
+    stereo whole;                   /* st with planes where it is blind */
     stage1_options opt;
     int step, heuristics;           /* fading near cameras, the photos' share in the shape, weight-scaled smoothness and what is left out as too faint are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */

@@ -2,7 +2,7 @@
  * perturbed; a plane's cost is the weighted normalised cross-correlation of the patch that it induces in the best few of the photo's companions. The correlation does not see gain and offset,
  * so photos of any light and filter take part. Coarse to fine; a last pass asks that the companions' planes agree; what is not confirmed is dropped.
  *
- * Patches are WINDOW samples (the black fields of 7 x 7), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
+ * Patches are 61 samples (the black fields of 11 x 11), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
  * Red pixels read black ones only and companions' maps are frozen during a pass: results do not depend on threads. */
 #include "trainer/stereo.h"
 #include <math.h>
@@ -13,7 +13,7 @@
 #include "trainer/ranks.h"
 #include "trainer/grid.h"
 
-enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 4, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, WINDOW = 61, PADDED = 64 };
+enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 2, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, PADDED = 64 };
 #define MOST_PIXELS ((size_t)32 << 20)  /* of all pictures at level 0, 46 bytes each: beyond, large photos are halved and a choice of them takes part */
 #define HALVE_PIXELS ((size_t)400000)
 #define COST_MAX 2.0f           /* 1 - correlation */
@@ -52,6 +52,7 @@ struct stereo_work {
     int threads, unit;
     int k, level, pass, colour, geometry;       /* of the photo at hand */
     pair pairs[COMPANIONS];
+    pair (*all)[COMPANIONS];                    /* of every photo at full size, for stereo_slope */
 };
 typedef struct stereo_work job;
 
@@ -73,6 +74,14 @@ static int picture_alloc(picture *p, int w, int h)
     p->grey = malloc((size_t)w * (size_t)h);
     p->corners = malloc((size_t)w * (size_t)h * sizeof *p->corners);
     return p->grey && p->corners;
+}
+
+static void shot_place(const world_photo *p, shot *s)
+{
+    for (int i = 0; i < 3; i++) {
+        s->c[i] = (float)p->centre[i];
+        for (int j = 0; j < 3; j++) s->R[3 * i + j] = (float)p->axes[3 * j + i];
+    }
 }
 
 /* Level 0 has the photo's size halved `halve` times. */
@@ -126,10 +135,7 @@ static orl_err shot_load(const world_photo *p, int halve, shot *s)
             }
     }
     for (int l = 0; l < LEVELS; l++) pack_corners(&s->level[l]);
-    for (int i = 0; i < 3; i++) {
-        s->c[i] = (float)p->centre[i];
-        for (int j = 0; j < 3; j++) s->R[3 * i + j] = (float)p->axes[3 * j + i];
-    }
+    shot_place(p, s);
 done:
     free(grey);
     free(sum);
@@ -234,30 +240,39 @@ static void make_pairs(job *j)
 typedef float v16 __attribute__((vector_size(64)));
 
 /* The reference patch: weights sum to 1, grey with its weighted mean taken off. */
-typedef struct { float w[PADDED], g[PADDED]; float var; } patch __attribute__((aligned(64)));
+typedef struct { float w[PADDED], g[PADDED]; float var; const struct window *in; } patch __attribute__((aligned(64)));
 
-static float OFFSET_X[PADDED] __attribute__((aligned(64))), OFFSET_Y[PADDED] __attribute__((aligned(64))), NEARNESS[WINDOW], LIKENESS[256];
+static struct window { float x[PADDED], y[PADDED], near[PADDED]; int n; } __attribute__((aligned(64))) WIDE, DENSE;     /* the black fields of 11 x 11; all of 7 x 7 */
+static float LIKENESS[256];
+
+/* Every step-th field of a square; what lies `fade` pixels from its middle still counts exp(-1/2). */
+static void window_make(struct window *w, int side, int step, float fade)
+{
+    memset(w, 0, sizeof *w);
+    for (int i = 0; i < side * side; i += step) {
+        float x = w->x[w->n] = (float)(i % side - side / 2), y = w->y[w->n] = (float)(i / side - side / 2);
+        w->near[w->n++] = expf(-(x * x + y * y) / (2 * fade * fade));
+    }
+}
 
 static void tables_make(void)
 {
-    for (int i = 0; i < WINDOW; i++) {
-        OFFSET_X[i] = (float)(2 * i % 11 - RADIUS);
-        OFFSET_Y[i] = (float)(2 * i / 11 - RADIUS);
-        NEARNESS[i] = expf(-(OFFSET_X[i] * OFFSET_X[i] + OFFSET_Y[i] * OFFSET_Y[i]) / (2 * RADIUS * RADIUS));
-    }
+    window_make(&WIDE, 2 * RADIUS + 1, 2, RADIUS);
+    window_make(&DENSE, 7, 1, 3);
     for (int i = 0; i < 256; i++) LIKENESS[i] = i < 160 ? expf(-(float)i / 20.0f) : 0;
 }
 
-static void patch_make(const picture *p, int x, int y, patch *out)
+static void patch_make(const picture *p, const struct window *in, int x, int y, patch *out)
 {
     float sum = 0, mean = 0;
     int centre = p->grey[y * p->w + x];
     memset(out, 0, sizeof *out);
-    for (int i = 0; i < WINDOW; i++) {
-        int u = x + (int)OFFSET_X[i], v = y + (int)OFFSET_Y[i];
+    out->in = in;
+    for (int i = 0; i < in->n; i++) {
+        int u = x + (int)in->x[i], v = y + (int)in->y[i];
         if (u < 0 || v < 0 || u >= p->w || v >= p->h) continue;
         int g = p->grey[v * p->w + u], d = g > centre ? g - centre : centre - g;
-        out->w[i] = LIKENESS[d] * NEARNESS[i];
+        out->w[i] = LIKENESS[d] * in->near[i];
         out->g[i] = (float)g;
         sum += out->w[i];
         mean += out->w[i] * (float)g;
@@ -288,11 +303,12 @@ static float correlate(const patch *p, const pair *q, const float m[3], float x,
     float right = (float)t->w - 1.001f, low = (float)t->h - 1.001f;
     if (!(Z > 1e-6f) || X < Z || Y < Z || X > (right) * Z || Y > (low) * Z) return COST_MAX;
     float value[PADDED] __attribute__((aligned(64)));
+    const float *ox = p->in->x, *oy = p->in->y;
     const uint32_t *corners = t->corners;
     int stride = t->w;
     for (int i = 0; i < PADDED; i++) {
-        float z = Z + H[6] * OFFSET_X[i] + H[7] * OFFSET_Y[i], iz = 1.0f / (z > 1e-6f ? z : 1e-6f);
-        float u = (X + H[0] * OFFSET_X[i] + H[1] * OFFSET_Y[i]) * iz - 0.5f, v = (Y + H[3] * OFFSET_X[i] + H[4] * OFFSET_Y[i]) * iz - 0.5f;
+        float z = Z + H[6] * ox[i] + H[7] * oy[i], iz = 1.0f / (z > 1e-6f ? z : 1e-6f);
+        float u = (X + H[0] * ox[i] + H[1] * oy[i]) * iz - 0.5f, v = (Y + H[3] * ox[i] + H[4] * oy[i]) * iz - 0.5f;
         u = u > 0 ? u : 0; u = u < right ? u : right;
         v = v > 0 ? v : 0; v = v < low ? v : low;
         int iu = (int)u, iv = (int)v;
@@ -353,20 +369,27 @@ static float disagreement(const picture *p, const pair *q, float x, float y, flo
 /* Companions that a pixel asks, and after all were asked the few that answered best. */
 typedef struct { int n, at[COMPANIONS]; float cost[COMPANIONS]; } jury;
 
+/* The plane through pixel (x, y) at depth z with normal n as a linear form of the picture: 1 / depth, but for the sign, is m . (u, v, 1). 0: seen from behind. */
+static int plane_form(const picture *p, float x, float y, float z, const float n[3], float m[3])
+{
+    float d[3], dist = 0;
+    ray_of(p, x, y, d);
+    for (int a = 0; a < 3; a++) dist += n[a] * d[a];
+    dist *= z;
+    if (!(dist < -1e-6f)) return 0;
+    m[0] = n[0] / p->fx / dist;
+    m[1] = n[1] / p->fy / dist;
+    m[2] = n[2] / dist - m[0] * p->cx - m[1] * p->cy;
+    return 1;
+}
+
 /* Mean cost of the BEST companions of the jury. all: note each one's cost (for jury_trust). */
 static float plane_cost(const job *j, const patch *pt, float x, float y, const plane *pl, jury *ask, int all)
 {
     const shot *s = &j->shots[j->k];
     const picture *p = &s->level[j->level];
-    float d[3], dist = 0, m[3], best[BEST];
-    ray_of(p, x, y, d);
-    for (int a = 0; a < 3; a++) dist += pl->n[a] * d[a];
-    dist *= pl->z;
-    if (!(dist < -1e-6f)) return COST_MAX;
-    float inv = 1 / dist;
-    m[0] = pl->n[0] / p->fx * inv;
-    m[1] = pl->n[1] / p->fy * inv;
-    m[2] = pl->n[2] * inv - m[0] * p->cx - m[1] * p->cy;
+    float m[3], best[BEST];
+    if (!plane_form(p, x, y, pl->z, pl->n, m)) return COST_MAX;
     for (int k = 0; k < BEST; k++) best[k] = COST_MAX;
     for (int i = 0; i < ask->n; i++) {
         const pair *q = &j->pairs[ask->at[i]];
@@ -434,7 +457,7 @@ static void spread_rows(void *user, int begin, int end)
             float fx = (float)x + 0.5f, fy = (float)y + 0.5f, d[3];
             patch pt;
             ray_of(p, fx, fy, d);
-            patch_make(p, x, y, &pt);
+            patch_make(p, &WIDE, x, y, &pt);
             jury ask = { .n = s->ncompanions };
             for (int i = 0; i < ask.n; i++) ask.at[i] = i;
             int coarse = j->level == LEVELS - 1;            /* planes are still wild: ask everyone, look far */
@@ -680,7 +703,65 @@ void stereo_end(stereo_work *j)
     if (!j) return;
     for (int k = 0; j->shots && k < j->w->nphotos; k++) shot_free(&j->shots[k]);
     free(j->shots);
+    free(j->all);
     free(j);
+}
+
+/* ---- a surface against the photos ---- */
+
+orl_err stereo_watch(stereo_work *j)
+{
+    free(j->all);
+    j->all = calloc((size_t)j->w->nphotos, sizeof *j->all);
+    if (!j->all) return orl_fail(ORL_E_MEMORY, "stereo: no memory");
+    j->level = 0;
+    for (int k = 0; k < j->w->nphotos; k++) if (j->shots[k].ncompanions) shot_place(&j->w->photos[k], &j->shots[k]);
+    for (j->k = 0; j->k < j->w->nphotos; j->k++) {
+        shot *s = &j->shots[j->k];
+        free(s->map); free(s->frozen); free(s->cost); free(s->sky);
+        s->map = s->frozen = NULL;
+        s->cost = NULL;
+        s->sky = NULL;
+        if (!s->ncompanions) continue;
+        make_pairs(j);
+        memcpy(j->all[j->k], j->pairs, sizeof j->pairs);
+    }
+    return ORL_OK;
+}
+
+/* Of a few companions drawn by lot the JUDGES best ones judge: what does not see the point, or in a light of its own, falls out. */
+float stereo_slope(const stereo_work *j, int photo, const float x[3], const float n[3], rng *r)
+{
+    enum { ASKED = 6, JUDGES = 2, EDGE = 3 };
+    const float STEP = 0.5f, PLAIN = 4.0f, UNLIKE = 0.7f;      /* cells along the ray; variance of grey, and cost, that say nothing */
+    const shot *s = &j->shots[photo];
+    const picture *p = &s->level[0];
+    float c[3] = { 0 }, nc[3] = { 0 }, m[3], cost[JUDGES] = { UNLIKE, UNLIKE };
+    const pair *judge[JUDGES] = { 0 };
+    patch pt;
+    if (s->ncompanions < JUDGES) return 0;
+    for (int a = 0; a < 3; a++) for (int b = 0; b < 3; b++) { c[a] += s->R[3 * a + b] * (x[b] - s->c[b]); nc[a] += s->R[3 * a + b] * n[b]; }
+    if (!(c[2] > 1)) return 0;
+    float u = p->fx * c[0] / c[2] + p->cx, v = p->fy * c[1] / c[2] + p->cy;
+    if (!(u >= EDGE) || !(v >= EDGE) || u >= (float)(p->w - EDGE) || v >= (float)(p->h - EDGE)) return 0;
+    patch_make(p, &DENSE, (int)u, (int)v, &pt);
+    u = (float)(int)u + 0.5f;
+    v = (float)(int)v + 0.5f;
+    if (pt.var < PLAIN || !plane_form(p, u, v, c[2], nc, m)) return 0;
+    for (int i = 0; i < ASKED; i++) {
+        const pair *q = &j->all[photo][rng_below(r, (uint32_t)s->ncompanions)];
+        if (q == judge[0] || q == judge[1]) continue;
+        float here = correlate(&pt, q, m, u, v);
+        if (here < cost[0]) { cost[1] = cost[0]; judge[1] = judge[0]; cost[0] = here; judge[0] = q; }
+        else if (here < cost[1]) { cost[1] = here; judge[1] = q; }
+    }
+    if (!judge[1]) return 0;
+    float dz = STEP * c[2] / sqrtf(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]), slope = 0;
+    for (int side = -1; side <= 1; side += 2) {
+        if (!plane_form(p, u, v, c[2] + (float)side * dz, nc, m)) return 0;
+        for (int i = 0; i < JUDGES; i++) slope += (float)side * correlate(&pt, judge[i], m, u, v);
+    }
+    return slope / (2 * STEP * JUDGES);
 }
 
 int stereo_can_save(const stereo_work *j) { return (j->unit <= j->w->nphotos && ranks_count() == 1) || j->unit % j->w->nphotos == 0; }

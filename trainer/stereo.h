@@ -2,6 +2,7 @@
 #ifndef TRAINER_STEREO_H
 #define TRAINER_STEREO_H
 #include <stdio.h>
+#include "trainer/grid.h"
 #include "trainer/world.h"
 
 typedef struct {
@@ -27,6 +28,12 @@ void stereo_end(stereo_work *s);                /* NULL is fine */
 int stereo_can_save(const stereo_work *s);
 orl_err stereo_work_save(const stereo_work *s, FILE *f);
 orl_err stereo_work_load(stereo_work *s, FILE *f, const char *path);
+
+/* Gives the depth maps back and keeps pictures and companions, with the poses of now, for stereo_slope. Before any step (a run that is resumed), after the last, or again. ORL_E_MEMORY. */
+orl_err stereo_watch(stereo_work *s);
+/* How much worse a photo's patch of 7 x 7 pixels at a surface point x with normal n matches its companions for every cell (grid frame) that the point moves away from the camera: d (1 - correlation) / d cell.
+ * 0 where nothing can be said: no texture, no companion that sees the same. */
+float stereo_slope(const stereo_work *s, int photo, const float x[3], const float n[3], rng *r);
 
 orl_err stereo_save(const stereo *s, FILE *f);
 orl_err stereo_load(stereo *s, const world *w, FILE *f, const char *path);
