@@ -5,6 +5,7 @@
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <cmocka.h>
@@ -68,28 +69,40 @@ static void unmake(place *p)
 static void fills_the_patch(void **state)
 {
     (void)state;
-    place p;
-    stereo got, again;
-    make(&p, 5, 0.8f);
-    assert_int_equal(complete_planes(&p.w, &p.st, &p.hull, 1, &got), ORL_OK);
-    assert_int_equal(complete_planes(&p.w, &p.st, &p.hull, 2, &again), ORL_OK);
-    assert_int_equal(got.npoints, again.npoints);
-    assert_memory_equal(got.points, again.points, got.npoints * sizeof *got.points);
+    place given, p, q;
+    make(&given, 5, 1.6f);
+    make(&p, 5, 1.6f);
+    make(&q, 5, 1.6f);
+    assert_int_equal(complete_planes(&p.w, &p.st, &p.hull, 1), ORL_OK);
+    assert_int_equal(complete_planes(&q.w, &q.st, &q.hull, 2), ORL_OK);
+    assert_int_equal(p.st.npoints, q.st.npoints);
+    assert_memory_equal(p.st.points, q.st.points, p.st.npoints * sizeof *p.st.points);
     for (int k = 0; k < VIEWS; k++) {
-        uint32_t given = p.st.begin[k + 1] - p.st.begin[k], first = got.begin[k];
-        assert_memory_equal(got.points + first, p.st.points + p.st.begin[k], given * sizeof *got.points);
-        assert_true(got.begin[k + 1] - first - given > 60);       /* 24 cells are 20 pixels here, a ray every second one */
-        for (uint32_t i = first + given; i < got.begin[k + 1]; i++) {
-            const stereo_point *q = &got.points[i];
-            assert_true(in_patch(q->x[0], q->x[2], HALF + 2));
-            assert_true(fabsf(q->x[1] - WALL) < 0.15f);
-            assert_true(q->n[1] < -0.99f);
-            assert_int_equal(q->photo, k);
+        uint32_t old = given.st.begin[k + 1] - given.st.begin[k], first = p.st.begin[k];
+        assert_int_equal(p.st.found[k], old);
+        assert_memory_equal(p.st.points + first, given.st.points + given.st.begin[k], old * sizeof *p.st.points);
+        assert_true(p.st.begin[k + 1] - first - old > 60);       /* 24 cells are 20 pixels here, a ray every second one */
+        for (uint32_t i = first + old; i < p.st.begin[k + 1]; i++) {
+            const stereo_point *x = &p.st.points[i];
+            assert_true(in_patch(x->x[0], x->x[2], HALF + 2));
+            assert_true(fabsf(x->x[1] - WALL) < 0.15f);
+            assert_true(x->n[1] < -0.99f);
+            assert_int_equal(x->photo, k);
         }
     }
-    stereo_free(&got);
-    stereo_free(&again);
+    FILE *f = tmpfile();                        /* what is saved is what stereo found */
+    stereo back;
+    assert_int_equal(stereo_save(&p.st, f), ORL_OK);
+    rewind(f);
+    assert_int_equal(stereo_load(&back, &p.w, f, "points"), ORL_OK);
+    fclose(f);
+    assert_int_equal(back.npoints, given.st.npoints);
+    assert_memory_equal(back.points, given.st.points, back.npoints * sizeof *back.points);
+    assert_memory_equal(back.begin, given.st.begin, (VIEWS + 1) * sizeof *back.begin);
+    stereo_free(&back);
+    unmake(&given);
     unmake(&p);
+    unmake(&q);
 }
 
 static void leaves_the_rest(void **state)
@@ -98,11 +111,10 @@ static void leaves_the_rest(void **state)
     static const struct { float bulge, spacing; } NONE[3] = { { 30, 0.8f }, { 5, 24 }, { 5, 200 } };       /* a body of its own; too few points; none */
     for (int i = 0; i < 3; i++) {
         place p;
-        stereo got;
         make(&p, NONE[i].bulge, NONE[i].spacing);
-        assert_int_equal(complete_planes(&p.w, &p.st, &p.hull, 2, &got), ORL_OK);
-        assert_int_equal(got.npoints, p.st.npoints);
-        stereo_free(&got);
+        uint32_t n = p.st.npoints;
+        assert_int_equal(complete_planes(&p.w, &p.st, &p.hull, 2), ORL_OK);
+        assert_int_equal(p.st.npoints, n);
         unmake(&p);
     }
 }

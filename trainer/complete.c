@@ -227,71 +227,88 @@ static void photo_range(void *user, int begin, int end)
     }
 }
 
-orl_err complete_planes(const world *w, const stereo *st, const grid *hull, int threads, stereo *out)
+/* ---- all of it ---- */
+
+static orl_err voxels_make(job *j)
+{
+    uint32_t n = 0, cap = 0;
+    for (uint32_t i = 0; i < j->st->npoints; i++) {
+        const stereo_point *q = &j->st->points[i];
+        if (!inside(j->w, q->x)) continue;
+        uint32_t *at = &j->at[place(j->nv, q->x, VOXEL)];
+        if (!*at) {
+            if (n == cap) {
+                voxel *more = realloc(j->v, (cap = cap ? 2 * cap : 1 << 16) * sizeof *more);
+                if (!more) return orl_fail(ORL_E_MEMORY, "planes: no memory for %u voxels", cap);
+                j->v = more;
+            }
+            j->v[n] = (voxel){ 0 };
+            *at = ++n;
+        }
+        voxel *v = &j->v[*at - 1];
+        for (int a = 0; a < 3; a++) { v->x[a] += q->weight * q->x[a]; v->n[a] += q->weight * q->n[a]; }
+        v->w += q->weight;
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        voxel *v = &j->v[i];
+        float l = sqrtf(v->n[0] * v->n[0] + v->n[1] * v->n[1] + v->n[2] * v->n[2]);
+        for (int a = 0; a < 3; a++) { v->x[a] /= fmaxf(v->w, 1e-9f); v->n[a] /= fmaxf(l, 1e-9f); }
+    }
+    return ORL_OK;
+}
+
+/* Each photo's new points behind its own: from the last photo on, in place. */
+static orl_err append(const job *j, stereo *st)
+{
+    size_t photos = (size_t)j->w->nphotos, all = st->npoints;
+    for (size_t k = 0; k < photos; k++) all += j->nmore[k];
+    uint32_t *found = malloc((photos + 1) * sizeof *found);
+    stereo_point *points = found ? realloc(st->points, (all + 1) * sizeof *points) : NULL;
+    if (!points) { free(found); return orl_fail(ORL_E_MEMORY, "planes: no memory for %zu points", all); }
+    uint32_t end = st->npoints, to = (uint32_t)all;
+    for (size_t k = photos; k-- > 0;) {
+        uint32_t from = st->begin[k];
+        found[k] = end - from;
+        st->begin[k + 1] = to;
+        to -= j->nmore[k];
+        if (j->nmore[k]) memcpy(points + to, j->more[k], j->nmore[k] * sizeof *points);
+        to -= found[k];
+        memmove(points + to, points + from, found[k] * sizeof *points);
+        end = from;
+    }
+    st->points = points;
+    st->npoints = (uint32_t)all;
+    st->found = found;
+    return ORL_OK;
+}
+
+orl_err complete_planes(const world *w, stereo *st, const grid *hull, int threads)
 {
     job j = { .w = w, .st = st, .hull = hull };
     size_t lattice = 1, blocks = 1, photos = (size_t)w->nphotos;
-    uint32_t nv = 0, cap = 0;
     double pixels = 0;
-    orl_err e = ORL_OK;
-    memset(out, 0, sizeof *out);
     for (int a = 0; a < 3; a++) {
         lattice *= (size_t)(j.nv[a] = w->frame.dims[a] / VOXEL + 1);
         blocks *= (size_t)(j.nb[a] = w->frame.dims[a] / BLOCK + 1);
     }
+    for (size_t k = 0; k < photos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
+    j.step = (int)fmax(STEP, ceil(sqrt(pixels / RAYS)));
     j.at = calloc(lattice, sizeof *j.at);
     j.b = calloc(blocks, sizeof *j.b);
     j.more = calloc(photos, sizeof *j.more);
     j.nmore = calloc(photos, sizeof *j.nmore);
-    if (!j.at || !j.b || !j.more || !j.nmore) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %zu voxels", lattice); goto done; }
-    for (uint32_t i = 0; i < st->npoints; i++) {
-        const stereo_point *q = &st->points[i];
-        if (!inside(w, q->x)) continue;
-        uint32_t *at = &j.at[place(j.nv, q->x, VOXEL)];
-        if (!*at) {
-            if (nv == cap) {
-                voxel *more = realloc(j.v, (cap = cap ? 2 * cap : 1 << 16) * sizeof *more);
-                if (!more) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %u voxels", cap); goto done; }
-                j.v = more;
-            }
-            j.v[nv] = (voxel){ 0 };
-            *at = ++nv;
-        }
-        voxel *v = &j.v[*at - 1];
-        for (int a = 0; a < 3; a++) { v->x[a] += q->weight * q->x[a]; v->n[a] += q->weight * q->n[a]; }
-        v->w += q->weight;
+    orl_err e = j.at && j.b && j.more && j.nmore ? voxels_make(&j) : orl_fail(ORL_E_MEMORY, "planes: no memory for %zu voxels", lattice);
+    for (j.emit = 0; !e && j.emit < 2; j.emit++) {
+        orl_parallel(threads, w->nphotos, 1, photo_range, &j);
+        if (!j.failed && !j.emit) orl_parallel(threads, (int)blocks, 64, block_range, &j);
+        if (j.failed) e = orl_fail(ORL_E_MEMORY, "planes: no memory");
     }
-    for (uint32_t i = 0; i < nv; i++) {
-        voxel *v = &j.v[i];
-        float l = sqrtf(v->n[0] * v->n[0] + v->n[1] * v->n[1] + v->n[2] * v->n[2]);
-        for (int a = 0; a < 3; a++) { v->x[a] /= fmaxf(v->w, 1e-9f); v->n[a] /= fmaxf(l, 1e-9f); }
-    }
-    for (int k = 0; k < w->nphotos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
-    j.step = (int)fmax(STEP, ceil(sqrt(pixels / RAYS)));
-    orl_parallel(threads, w->nphotos, 1, photo_range, &j);
-    if (!j.failed) orl_parallel(threads, (int)blocks, 64, block_range, &j);
-    j.emit = 1;
-    if (!j.failed) orl_parallel(threads, w->nphotos, 1, photo_range, &j);
-    size_t all = st->npoints;
-    for (size_t k = 0; k < photos; k++) all += j.nmore[k];
-    out->points = malloc((all + 1) * sizeof *out->points);
-    out->begin = calloc(photos + 1, sizeof *out->begin);
-    if (j.failed || !out->points || !out->begin) { e = orl_fail(ORL_E_MEMORY, "planes: no memory for %zu points", all); goto done; }
-    for (size_t k = 0; k < photos; k++) {
-        uint32_t n = st->begin[k + 1] - st->begin[k];
-        memcpy(out->points + out->npoints, st->points + st->begin[k], n * sizeof *out->points);
-        out->npoints += n;
-        if (j.nmore[k]) memcpy(out->points + out->npoints, j.more[k], j.nmore[k] * sizeof *out->points);
-        out->npoints += j.nmore[k];
-        out->begin[k + 1] = out->npoints;
-    }
-done:
+    if (!e) e = append(&j, st);
     for (size_t k = 0; j.more && k < photos; k++) free(j.more[k]);
     free(j.more);
     free(j.nmore);
     free(j.at);
     free(j.v);
     free(j.b);
-    if (e) stereo_free(out);
     return e;
 }

@@ -6,6 +6,6 @@
 
 #define COMPLETE_WEIGHT 0.3f    /* of such a point */
 
-/* st's points and, where a photo's pixel has none and meets the hull far from any, the local plane's point on its ray, at weight COMPLETE_WEIGHT; in *out, to be freed by stereo_free. ORL_E_MEMORY. */
-orl_err complete_planes(const world *w, const stereo *st, const grid *hull, int threads, stereo *out);
+/* Adds to st, where a photo's pixel has no point and meets the hull far from any, the local plane's point on its ray, at weight COMPLETE_WEIGHT. Points that st has keep their order. ORL_E_MEMORY: st is as it was. */
+orl_err complete_planes(const world *w, stereo *st, const grid *hull, int threads);
 #endif

@@ -133,7 +133,7 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
     return e;
 }
 
-orl_err stage1_start(stage1 *s, world *w, const stereo *st)
+orl_err stage1_start(stage1 *s, world *w, stereo *st)
 {
     const int cell = SDF_CELL[1];
     float *hull = NULL;
@@ -144,9 +144,8 @@ orl_err stage1_start(stage1 *s, world *w, const stereo *st)
     if (!e && st && st->npoints) {
         start_level(&s->hull, w->frame.dims, hull, cell, NULL);
         free(hull);
-        e = complete_planes(w, st, &s->hull, s->opt.threads, &s->whole);
-        s->st = &s->whole;
-        if (!e) e = hull_build(w, s->st, cell, s->opt.threads, &hull);
+        e = complete_planes(w, st, &s->hull, s->opt.threads);
+        if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);
     }
     if (e) return e;
     hull_relabel(w, hull, cell, s->opt.threads);
@@ -186,7 +185,6 @@ void stage1_freeze(stage1 *s)
     grid_freeze(&s->transient);
     grid_free(&s->hull);
     grid_free(&s->fused);
-    stereo_free(&s->whole);
     s->st = NULL;
     s->watch = NULL;
 }
@@ -199,7 +197,6 @@ void stage1_free(stage1 *s)
     grid_free(&s->fused);
     grid_free(&s->codes);
     grid_free(&s->transient);
-    stereo_free(&s->whole);
 }
 
 /* Coarse to fine: the finest level in use, and the width of the logistic in fine cells. */

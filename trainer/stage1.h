@@ -19,11 +19,10 @@ typedef struct { double photo, sky, eikonal, points, mse, transient; double samp
 
 typedef struct {
     const world *w;
-    const stereo *st;               /* what trains: `whole`; NULL: none */
+    const stereo *st;               /* NULL: none */
     const stereo_work *watch;       /* for stereo_slope, not owned; NULL: patches do not pull at the surface */
-    stereo whole;                   /* st with planes where it is blind */
     stage1_options opt;
-    int step, heuristics;           /* fading near cameras, the photos' share in the shape, weight-scaled smoothness and what is left out as too faint are not gradients of the total: gradient tests turn them off */
+    int step, heuristics;           /* fading near cameras, the photos' share in the shape, the patches' pull, weight-scaled smoothness and what is left out as too faint are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
     grid hull, fused;               /* the first SDF, kept (cells of 2), and what the fused points add to it (cells of 1): the surface stays near their sum unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
@@ -34,8 +33,8 @@ typedef struct {
 
 /* Grids of zeros, to be started or loaded. */
 orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt);
-/* The hull as the first SDF; sky labels that contradict it become unknown. st: kept, NULL if there is none. */
-orl_err stage1_start(stage1 *s, world *w, const stereo *st);
+/* The hull as the first SDF; sky labels that contradict it become unknown. st: kept, and completed by planes where it is blind; NULL if there is none. */
+orl_err stage1_start(stage1 *s, world *w, stereo *st);
 void stage1_free(stage1 *s);
 /* Trained no more: keeps what stage1_sdf, stage1_colour and stage1_transient need. */
 void stage1_freeze(stage1 *s);

@@ -5,6 +5,7 @@
  * Patches are 61 samples (the black fields of 11 x 11), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
  * Red pixels read black ones only and companions' maps are frozen during a pass: results do not depend on threads. */
 #include "trainer/stereo.h"
+#include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -680,11 +681,15 @@ double stereo_progress(const stereo_work *j)
     return (1 - GEOMETRIC * share) * first / n + share * (j->unit - first) / n;
 }
 
-orl_err stereo_finish(const stereo_work *j, stereo *out)
+orl_err stereo_finish(stereo_work *j, stereo *out)
 {
     stereo st = { 0 };
     size_t cap = 0;
-    for (int k = 0; k < j->w->nphotos; k++) cap += map_size(&j->shots[k]);
+    for (int k = 0; k < j->w->nphotos; k++) {
+        cap += map_size(&j->shots[k]);
+        free(j->shots[k].frozen);               /* gives room for the points */
+        j->shots[k].frozen = NULL;
+    }
     st.points = malloc((cap + 1) * sizeof *st.points);
     st.begin = calloc((size_t)j->w->nphotos + 1, sizeof *st.begin);
     if (!st.points || !st.begin) { stereo_free(&st); return orl_fail(ORL_E_MEMORY, "stereo: no memory for %zu points", cap); }
@@ -726,6 +731,7 @@ orl_err stereo_watch(stereo_work *j)
         make_pairs(j);
         memcpy(j->all[j->k], j->pairs, sizeof j->pairs);
     }
+    malloc_trim(0);                             /* depth maps are most of the memory of a run, and too small for the C library to give back by itself */
     return ORL_OK;
 }
 
@@ -792,7 +798,11 @@ orl_err stereo_work_load(stereo_work *j, FILE *f, const char *path)
 
 orl_err stereo_save(const stereo *s, FILE *f)
 {
-    int bad = fwrite(&s->npoints, sizeof s->npoints, 1, f) != 1 || fwrite(s->points, sizeof *s->points, s->npoints, f) != s->npoints;
+    uint32_t n = s->npoints;
+    for (uint32_t k = 0; s->found && s->begin[k] < s->npoints; k++) n -= s->begin[k + 1] - s->begin[k] - s->found[k];
+    int bad = fwrite(&n, sizeof n, 1, f) != 1;
+    if (!s->found) bad = bad || fwrite(s->points, sizeof *s->points, n, f) != n;
+    for (uint32_t k = 0; s->found && !bad && s->begin[k] < s->npoints; k++) bad = fwrite(s->points + s->begin[k], sizeof *s->points, s->found[k], f) != s->found[k];
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
 }
 
@@ -822,5 +832,6 @@ void stereo_free(stereo *s)
 {
     free(s->points);
     free(s->begin);
+    free(s->found);
     memset(s, 0, sizeof *s);
 }

@@ -14,6 +14,7 @@ typedef struct {
 typedef struct stereo {
     stereo_point *points; uint32_t npoints;
     uint32_t *begin;                /* points of photo k: [begin[k], begin[k + 1]) */
+    uint32_t *found;                /* the first so many of them are stereo's own, the rest completed (complete.h); NULL: all are */
 } stereo;
 
 /* PatchMatch stereo over the training photos at their training size, one photo a step. Repeatable for a seed, whatever the thread count. A scene without a pair of photos that see the same
@@ -22,7 +23,7 @@ typedef struct stereo_work stereo_work;
 orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **out);    /* ORL_E_MEMORY */
 int stereo_step(stereo_work *s);                /* 0: nothing was left to do */
 double stereo_progress(const stereo_work *s);   /* 0..1 */
-orl_err stereo_finish(const stereo_work *s, stereo *out);
+orl_err stereo_finish(stereo_work *s, stereo *out);     /* no step after it */
 void stereo_end(stereo_work *s);                /* NULL is fine */
 /* Depth maps on the way. Only where stereo_can_save says so: between the passes that need all maps at once, or within the first. */
 int stereo_can_save(const stereo_work *s);
@@ -35,7 +36,7 @@ orl_err stereo_watch(stereo_work *s);
  * 0 where nothing can be said: no texture, no companion that sees the same. */
 float stereo_slope(const stereo_work *s, int photo, const float x[3], const float n[3], rng *r);
 
-orl_err stereo_save(const stereo *s, FILE *f);
+orl_err stereo_save(const stereo *s, FILE *f);          /* what stereo found itself */
 orl_err stereo_load(stereo *s, const world *w, FILE *f, const char *path);
 void stereo_free(stereo *s);
 #endif
