@@ -6,7 +6,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 
-enum { VOXEL = 2, BLOCK = 8, TRIES = 64, REFITS = 3, LEAST = 40, STEP = 2, RAYS = 16 << 20 };    /* VOXEL, BLOCK: fine cells. STEP: pixels between two rays, more than RAYS of which widen it */
+enum { VOXEL = 2, BLOCK = 8, TRIES = 64, REFITS = 3, LEAST = 40 };      /* VOXEL, BLOCK: fine cells */
 #define REACH 16.0f             /* fine cells around a block: whence its plane */
 #define THIN 1.0f               /* fine cells off a plane that still lie in it */
 #define ALIKE 0.8f              /* cosine between its normal and theirs */
@@ -27,7 +27,7 @@ typedef struct {
     voxel *v;
     cube *b;
     stereo_point **more; uint32_t *nmore;       /* of each photo */
-    int failed, emit, step;
+    int failed, emit, step;         /* step: pixels between two rays */
 } job;
 
 static size_t place(const int n[3], const float x[3], float size)
@@ -185,14 +185,9 @@ static void photo_range(void *user, int begin, int end)
     job *j = user;
     for (int k = begin; k < end; k++) {
         const world_photo *p = &j->w->photos[k];
-        int step = j->step, hw = p->w / step + 1, hh = p->h / step + 1;
-        uint8_t *has = calloc((size_t)hw * (size_t)hh, 1);
-        uint32_t cap = 0;
+        int step = j->step, hw = p->w / step + 1;
+        uint32_t cap = 0, *has = stereo_hits(j->st, j->w, k, step);
         if (!has) { __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED); continue; }
-        for (uint32_t i = j->st->begin[k]; i < j->st->begin[k + 1]; i++) {
-            double uv[2];
-            if (world_sees(p, j->st->points[i].x, uv, NULL)) has[(int)uv[1] / step * hw + (int)uv[0] / step] = 1;
-        }
         float o[3] = { (float)p->centre[0], (float)p->centre[1], (float)p->centre[2] };
         for (int y = 0; y + step <= p->h; y += step)
             for (int x = 0; x + step <= p->w; x += step) {
@@ -286,13 +281,11 @@ orl_err complete_planes(const world *w, stereo *st, const grid *hull, int thread
 {
     job j = { .w = w, .st = st, .hull = hull };
     size_t lattice = 1, blocks = 1, photos = (size_t)w->nphotos;
-    double pixels = 0;
     for (int a = 0; a < 3; a++) {
         lattice *= (size_t)(j.nv[a] = w->frame.dims[a] / VOXEL + 1);
         blocks *= (size_t)(j.nb[a] = w->frame.dims[a] / BLOCK + 1);
     }
-    for (size_t k = 0; k < photos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
-    j.step = (int)fmax(STEP, ceil(sqrt(pixels / RAYS)));
+    j.step = world_ray_step(w);
     j.at = calloc(lattice, sizeof *j.at);
     j.b = calloc(blocks, sizeof *j.b);
     j.more = calloc(photos, sizeof *j.more);

@@ -135,19 +135,6 @@ static frame ground_find(const world *w, const stereo *st)
     return cameras_over(w, &g) > 0.7f ? g : guess;
 }
 
-/* Stereo points of a photo by pixel, at half its size: index + 1, 0 = none. */
-static uint32_t *hits_make(const world *w, const stereo *st, int k)
-{
-    const world_photo *p = &w->photos[k];
-    int hw = p->w / 2 + 1, hh = p->h / 2 + 1;
-    uint32_t *hit = calloc((size_t)hw * (size_t)hh, sizeof *hit);
-    for (uint32_t i = st->begin[k]; hit && i < st->begin[k + 1]; i++) {
-        double uv[2];
-        if (world_sees(p, st->points[i].x, uv, NULL)) hit[(int)uv[1] / 2 * hw + (int)uv[0] / 2] = i + 1;
-    }
-    return hit;
-}
-
 /* Lengths in fine cells, up to 512 along the place; with more, as much of the place (carve_job.unit). */
 #define SPAN 6.0f               /* what is nearer to a stereo point's plane is measured, what is farther before it is free */
 #define THICK 4.0f              /* behind a stereo point it is solid, less and less surely: a column hides more than it fills */
@@ -304,7 +291,7 @@ orl_err hull_build(world *w, const stereo *st, int cell, int threads, float **sd
     if (!use || !voter || !maps || !in || !out || !j.field || !j.hits) { e = orl_fail(ORL_E_MEMORY, "hull: no memory for %zu voxels", total); goto done; }
     for (int k = 0; k < j.voters; k++) {
         depth_interpolate(w, st, voter[k], &maps[k]);
-        if (st && st->begin[voter[k] + 1] > st->begin[voter[k]]) j.hits[k] = hits_make(w, st, voter[k]);
+        if (st && st->begin[voter[k] + 1] > st->begin[voter[k]]) j.hits[k] = stereo_hits(st, w, voter[k], 2);
     }
     j.maps = maps;
     j.voter = voter;

@@ -720,7 +720,7 @@ orl_err stereo_watch(stereo_work *j)
     j->all = calloc((size_t)j->w->nphotos, sizeof *j->all);
     if (!j->all) return orl_fail(ORL_E_MEMORY, "stereo: no memory");
     j->level = 0;
-    for (int k = 0; k < j->w->nphotos; k++) if (j->shots[k].ncompanions) shot_place(&j->w->photos[k], &j->shots[k]);
+    for (int k = 0; k < j->w->nphotos; k++) shot_place(&j->w->photos[k], &j->shots[k]);
     for (j->k = 0; j->k < j->w->nphotos; j->k++) {
         shot *s = &j->shots[j->k];
         free(s->map); free(s->frozen); free(s->cost); free(s->sky);
@@ -796,13 +796,14 @@ orl_err stereo_work_load(stereo_work *j, FILE *f, const char *path)
     return ORL_OK;
 }
 
+static uint32_t own_points(const stereo *s, uint32_t k) { return s->found ? s->found[k] : s->begin[k + 1] - s->begin[k]; }
+
 orl_err stereo_save(const stereo *s, FILE *f)
 {
-    uint32_t n = s->npoints;
-    for (uint32_t k = 0; s->found && s->begin[k] < s->npoints; k++) n -= s->begin[k + 1] - s->begin[k] - s->found[k];
+    uint32_t n = 0;
+    for (uint32_t k = 0; s->begin[k] < s->npoints; k++) n += own_points(s, k);
     int bad = fwrite(&n, sizeof n, 1, f) != 1;
-    if (!s->found) bad = bad || fwrite(s->points, sizeof *s->points, n, f) != n;
-    for (uint32_t k = 0; s->found && !bad && s->begin[k] < s->npoints; k++) bad = fwrite(s->points + s->begin[k], sizeof *s->points, s->found[k], f) != s->found[k];
+    for (uint32_t k = 0; !bad && s->begin[k] < s->npoints; k++) bad = fwrite(s->points + s->begin[k], sizeof *s->points, own_points(s, k), f) != own_points(s, k);
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
 }
 
@@ -826,6 +827,18 @@ orl_err stereo_load(stereo *out, const world *w, FILE *f, const char *path)
     if (e) stereo_free(&s);
     else *out = s;
     return e;
+}
+
+uint32_t *stereo_hits(const stereo *s, const world *w, int k, int side)
+{
+    const world_photo *p = &w->photos[k];
+    int hw = p->w / side + 1, hh = p->h / side + 1;
+    uint32_t *hit = calloc((size_t)hw * (size_t)hh, sizeof *hit);
+    for (uint32_t i = s->begin[k]; hit && i < s->begin[k + 1]; i++) {
+        double uv[2];
+        if (world_sees(p, s->points[i].x, uv, NULL)) hit[(int)uv[1] / side * hw + (int)uv[0] / side] = i + 1;
+    }
+    return hit;
 }
 
 void stereo_free(stereo *s)

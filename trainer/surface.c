@@ -218,7 +218,6 @@ int surface_meet(const surface *s, const float o[3], const float d[3], surface_h
     return MET_GROUND;
 }
 
-enum { PRUNE_STEP = 2, PRUNE_RAYS = 16 << 20 };
 typedef struct { const surface *s; const world *w; uint8_t *seen; int step; } prune_job;    /* step: pixels between two rays */
 
 static void prune_range(void *user, int begin, int end)
@@ -243,9 +242,7 @@ orl_err surface_prune(surface *s, const world *w, int threads)
 {
     uint8_t *seen = calloc(s->nbricks + 1, 1);
     if (!seen) return orl_fail(ORL_E_MEMORY, "surface: no memory");
-    double pixels = 0;
-    for (int k = 0; k < w->nphotos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
-    prune_job j = { s, w, seen, (int)fmax(PRUNE_STEP, ceil(sqrt(pixels / PRUNE_RAYS))) };
+    prune_job j = { s, w, seen, world_ray_step(w) };
     orl_parallel(threads, w->nphotos, 1, prune_range, &j);
     size_t step[3] = { 1, (size_t)s->nb[0], (size_t)s->nb[0] * (size_t)s->nb[1] }, total = brick_count(s);
     uint8_t *keep = calloc(s->nbricks + 1, 1);

@@ -414,6 +414,14 @@ done:
     return use;
 }
 
+int world_ray_step(const world *w)
+{
+    enum { LEAST = 2, RAYS = 16 << 20 };
+    double pixels = 0;
+    for (int k = 0; k < w->nphotos; k++) pixels += (double)w->photos[k].w * w->photos[k].h;
+    return (int)fmax(LEAST, ceil(sqrt(pixels / RAYS)));
+}
+
 void world_free(world *w)
 {
     for (int i = 0; w->photos && i < w->nphotos; i++) {

@@ -94,6 +94,8 @@ int  box_clip(const int dims[3], const float o[3], const float d[3], float *t0, 
 /* A choice of at most `most` photos of together at most `pixels` pixels for what cannot ask all of a large collection: 1 for each chosen one, greedily by the SfM points that few chosen ones see yet,
  * so that three or more see what can be seen. All of them if they fit. malloc'd; NULL: no memory. */
 uint8_t *world_cover(const world *w, int most, size_t pixels);
+/* Pixels between two rays, along rows and columns, for what casts rays through all photos: 2, and more where that would make over 16 M rays. */
+int world_ray_step(const world *w);
 
 struct stereo;
 /* Finds the ground (frame.ground). First SDF from SfM points, stereo points (NULL: none) and sky masks (space carving): values in fine cells at lattice `cell`, z-major order x fastest, (dims / cell + 1) per axis; malloc'd. */
