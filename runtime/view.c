@@ -117,18 +117,23 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
 
 static int beside_box(const orl_scene *s, const double x[3]) { return x[0] < 0 || x[1] < 0 || x[0] > 8.0 * s->nb[0] || x[1] > 8.0 * s->nb[1]; }
 
-/* The surface, or the ground where the ray meets no surface, a cut that is the ground's, or the ground beside the box first. */
+/* The surface, or the ground where the ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface. */
 static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
 {
-    double t = 0;
-    int met = orl_march(s, o, d, h);
-    if (!s->ground_albedo) return met;
-    int falls = ground_meet(s, o, d, &t);
+    double t = 0, from[3] = { o[0], o[1], o[2] };
+    int64_t gone = 0;
+    if (!s->ground_albedo) return orl_march(s, o, d, h);
+    int met = 0, falls = ground_meet(s, o, d, &t);
+    for (int k = 0; !met && k < ORL_CUTS && orl_march(s, from, d, h); k++) {
+        h->t = gone += h->t;
+        for (int a = 0; a < 3; a++) from[a] = o[a] + (double)gone / 65536 * d[a];
+        met = !h->cut || over_ground(s, from) <= ORL_GROUND_CUT * 8 * s->nb[0];
+    }
     if (!met && !falls) return 0;
     if (met) {
-        double hit = (double)h->t / 65536, at[3] = { o[0] + hit * d[0], o[1] + hit * d[1], o[2] + hit * d[2] }, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
+        double hit = (double)h->t / 65536, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
         int before = falls && t < hit;
-        if (!(before && beside_box(s, down)) && (!h->cut || over_ground(s, at) > ORL_GROUND_CUT * 8 * s->nb[0])) return 1;
+        if (!(before && beside_box(s, down)) && !h->cut) return 1;
         if (!before) t = hit;
     }
     ground_hit(s, o, d, t, h);

@@ -104,9 +104,29 @@ static void rays_meet_the_ground(void **state)
     }
 }
 
+/* What light meets, an eye does not: bricks of a wall left out, rays that enter there and meet the next ones from behind. */
+static void cuts_are_passed_through(void **state)
+{
+    (void)state;
+    surface s;
+    surface_hit hit;
+    make(&s, 8 * LAYER + 1, WALL + 0.1f);
+    s.bmap[((LAYER + 1) * NB + 3) * NB + WALL / 8] = -1;
+    for (int i = 0; i < 100; i++) {
+        float o[3] = { 20, 3, 28 + 0.01f * (float)i }, d[3] = { 0.707f, 0.7071f, 0.005f }, t = (WALL - o[0]) / d[0];
+        o[1] = 25 + 0.05f * (float)i - t * d[1];
+        assert_true(surface_march(&s, o, d, &hit) && hit.cut);
+        assert_int_equal(surface_meet(&s, o, d, &hit), MET_NOTHING);
+        d[2] = -0.1f;
+        o[2] -= t * d[2];
+        assert_int_equal(surface_meet(&s, o, d, &hit), MET_GROUND);
+    }
+    surface_free(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = { cmocka_unit_test(level_ground_is_open), cmocka_unit_test(wall_raises_the_horizon),
-                                        cmocka_unit_test(rays_meet_the_ground) };
+                                        cmocka_unit_test(rays_meet_the_ground), cmocka_unit_test(cuts_are_passed_through) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

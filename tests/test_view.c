@@ -124,6 +124,45 @@ static void test_coverage(void **state)
     free(b.block);
 }
 
+/* A brick of the sphere left out: rays that enter there leave the sphere again and meet the ground behind it. */
+static void test_gap(void **state)
+{
+    (void)state;
+    enum { GAP = 3 };
+    static uint8_t colour[ORL_GROUND_SIDE * ORL_GROUND_SIDE][3];
+    size_t total = (size_t)scene.nb[0] * scene.nb[1] * scene.nb[2];
+    int32_t *whole = (int32_t *)scene.bmap, *gap = malloc(total * sizeof *gap);
+    memcpy(gap, whole, total * sizeof *gap);
+    gap[((size_t)GAP * scene.nb[1] + GAP) * scene.nb[0] + GAP] = -1;
+    orl_camera cam = synth_camera(320, 240, 45);
+    orl_pose pose = synth_look(&scene, eye, target);
+    scene.bmap = gap;
+    scene.ground_albedo = colour[0];
+    scene.ground[0] = (float)SYNTH_GROUND;
+    built b;
+    int through = 0;
+    build(&b, &cam, &pose, 1, 2);
+    for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+        orl_sample s;
+        double n[3], d[3];
+        orl_view_sample(&b.v, x, y, &s);
+        for (int a = 0; a < 3; a++) d[a] = s.dir[a];
+        double t = analytic(eye, d, n), fall = (SYNTH_GROUND - eye[2]) / d[2];
+        int in = t > 0 && d[2] < 0 && t < fall - 2;
+        for (int a = 0; a < 3; a++) in &= fabs((eye[a] + t * d[a]) / 8 - GAP - 0.5) < 0.48 && (a == 2 || fabs((eye[a] + fall * d[a]) / 8 - 4) < 4);
+        if (!in) continue;
+        double e = b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - fall;
+        assert_true(s.normal[2] > 0.99f);
+        assert_true(e < 0.1 && e > -0.1 - ORL_GROUND_CUT * 8 * scene.nb[0] / -d[2]);
+        through++;
+    }
+    assert_true(through > 100);
+    scene.bmap = whole;
+    scene.ground_albedo = NULL;
+    free(gap);
+    free(b.block);
+}
+
 /* Ground bricks left out: rays that fall into the hole meet the ground plane's colour, at the plane or at the section of the bricks behind it, and never those bricks' inside. */
 static void test_hole(void **state)
 {
@@ -303,7 +342,7 @@ static void test_degenerate(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_hole), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
+        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_hole), cmocka_unit_test(test_gap), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

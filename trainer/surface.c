@@ -202,13 +202,18 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
 
 int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit)
 {
-    float t = 0;
-    int met = surface_march(s, o, d, hit), falls = frame_ground_hit(&s->f, o, d, &t);
+    float t = 0, gone = 0, from[3] = { o[0], o[1], o[2] };
+    int met = 0, falls = frame_ground_hit(&s->f, o, d, &t);
+    for (int k = 0; !met && k < ORL_CUTS && surface_march(s, from, d, hit); k++) {
+        hit->t = gone += hit->t;
+        memcpy(from, hit->x, sizeof from);
+        met = !hit->cut || from[2] - frame_ground_height(&s->f, from) <= ORL_GROUND_CUT * (float)s->f.dims[0];
+    }
     if (!met && !falls) return MET_NOTHING;
     if (met) {
         float x = o[0] + t * d[0], y = o[1] + t * d[1];
         int before = falls && t < hit->t, beside = x < 0 || y < 0 || x > (float)s->f.dims[0] || y > (float)s->f.dims[1];
-        if (!(before && beside) && (!hit->cut || hit->x[2] - frame_ground_height(&s->f, hit->x) > ORL_GROUND_CUT * (float)s->f.dims[0])) return MET_SURFACE;
+        if (!(before && beside) && !hit->cut) return MET_SURFACE;
         if (!before) t = hit->t;
     }
     for (int a = 0; a < 3; a++) hit->x[a] = o[a] + t * d[a];
@@ -229,6 +234,7 @@ static void prune_range(void *user, int begin, int end)
         for (int y = 0; y < p->h; y += j->step)
             for (int x = 0; x < p->w; x += j->step) {
                 surface_hit hit;
+                if (world_label(p, x, y) != WORLD_SCENE) continue;
                 world_ray(p, x + 0.5, y + 0.5, d);
                 if (!surface_march(j->s, o, d, &hit)) continue;
                 int b[3], skip;

@@ -20,14 +20,14 @@ typedef struct { float x[3], n[3], t; int cut; } surface_hit;       /* cut: not 
 orl_err surface_build(const stage1 *s, surface *out);
 /* Takes away what the photos' sky shines through. Bricks may be left without surface; surface_prune drops them. */
 orl_err surface_carve(surface *s, const world *w, int threads);
-/* Drops bricks that no training ray hits (nor any neighbour of such a brick): nobody saw them. */
+/* Drops bricks that no training ray of a pixel labelled scene hits (nor any neighbour of such a brick): nobody saw them. What stands behind twigs or clouds that nobody could label is most often no surface. */
 orl_err surface_prune(surface *s, const world *w, int threads);
 /* Openness and horizons on the light vertices of every brick, traced on the surface itself. */
 orl_err surface_light(surface *s, int threads);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
-/* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a cut that is the ground's. */
+/* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut. Higher cuts are passed through (SCENE.md 4.7). */
 enum { MET_NOTHING, MET_SURFACE, MET_GROUND };
 int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit);
 orl_err surface_save(const surface *s, FILE *f);
