@@ -85,6 +85,26 @@ static void fat_ball_gets_its_size_back(void **state)
     }
 }
 
+/* What photos show as scene stays, what only unlabelled pixels show goes, beside the rest too. */
+static void guesses_go(void **state)
+{
+    (void)state;
+    float down[3] = { 0, 0, -1 }, from[3] = { MIDDLE + 0.5f, MIDDLE + 0.5f, SIDE - 1 };
+    for (int unlabelled = 0; unlabelled < 2; unlabelled++) {
+        world w;
+        surface s;
+        surface_hit h;
+        make(&w, &s, -1);
+        for (int k = 0; k < VIEWS && unlabelled; k++) for (int i = 0; i < W * W / 2; i++) world_set_label(&w.photos[k], i % W, i / W, WORLD_UNKNOWN);
+        assert_int_equal(surface_prune(&s, &w, 1), ORL_OK);
+        assert_true(radius(&s, 0.1f, -1) > FAT - 0.1f);
+        assert_true(surface_march(&s, from, down, &h));
+        assert_true(unlabelled ? h.cut && h.x[2] < MIDDLE + 8 : !h.cut && h.x[2] > MIDDLE + FAT - 0.1f);
+        surface_free(&s);
+        world_free(&w);
+    }
+}
+
 /* Stone that one photo's mask calls sky, and others' stereo points lie on, is unknown; the sky around the ball stays sky. */
 static void stone_is_no_sky(void **state)
 {
@@ -159,6 +179,6 @@ static void few_change_little(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(stone_is_no_sky), cmocka_unit_test(few_change_little) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(fat_ball_gets_its_size_back), cmocka_unit_test(guesses_go), cmocka_unit_test(stone_is_no_sky), cmocka_unit_test(few_change_little) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

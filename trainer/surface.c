@@ -223,7 +223,8 @@ int surface_meet(const surface *s, const float o[3], const float d[3], surface_h
     return MET_GROUND;
 }
 
-typedef struct { const surface *s; const world *w; uint8_t *seen; int step; } prune_job;    /* step: pixels between two rays */
+enum { UNSEEN, GUESSED, SEEN };
+typedef struct { const surface *s; const world *w; uint8_t *seen; int step; } prune_job;    /* seen: of each brick; step: pixels between two rays */
 
 static void prune_range(void *user, int begin, int end)
 {
@@ -234,12 +235,11 @@ static void prune_range(void *user, int begin, int end)
         for (int y = 0; y < p->h; y += j->step)
             for (int x = 0; x < p->w; x += j->step) {
                 surface_hit hit;
-                if (world_label(p, x, y) != WORLD_SCENE) continue;
                 world_ray(p, x + 0.5, y + 0.5, d);
                 if (!surface_march(j->s, o, d, &hit)) continue;
                 int b[3], skip;
                 const float *v = brick_at(j->s, hit.x, b, &skip);
-                if (v) __atomic_store_n(&j->seen[(size_t)(v - j->s->sdf) / ORL_BRICK_VERTS], 1, __ATOMIC_RELAXED);
+                if (v) __atomic_fetch_or(&j->seen[(size_t)(v - j->s->sdf) / ORL_BRICK_VERTS], world_label(p, x, y) == WORLD_SCENE ? SEEN : GUESSED, __ATOMIC_RELAXED);
             }
     }
 }
@@ -253,14 +253,14 @@ orl_err surface_prune(surface *s, const world *w, int threads)
     size_t step[3] = { 1, (size_t)s->nb[0], (size_t)s->nb[0] * (size_t)s->nb[1] }, total = brick_count(s);
     uint8_t *keep = calloc(s->nbricks + 1, 1);
     for (size_t i = 0; keep && i < total; i++) {
-        if (s->bmap[i] < 0 || !seen[s->bmap[i]]) continue;
+        if (s->bmap[i] < 0 || !(seen[s->bmap[i]] & SEEN)) continue;
         for (int dz = -1; dz <= 1; dz++)
             for (int dy = -1; dy <= 1; dy++)
                 for (int dx = -1; dx <= 1; dx++) {
                     int q[3] = { (int)(i % step[1]) + dx, (int)(i / step[1]) % s->nb[1] + dy, (int)(i / step[2]) + dz };
                     if (q[0] < 0 || q[1] < 0 || q[2] < 0 || q[0] >= s->nb[0] || q[1] >= s->nb[1] || q[2] >= s->nb[2]) continue;
                     int32_t m = s->bmap[(size_t)q[0] + (size_t)q[1] * step[1] + (size_t)q[2] * step[2]];
-                    if (m >= 0) keep[m] = 1;
+                    if (m >= 0 && seen[m] != GUESSED) keep[m] = 1;
                 }
     }
     uint32_t n = 0;

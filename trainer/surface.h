@@ -20,7 +20,8 @@ typedef struct { float x[3], n[3], t; int cut; } surface_hit;       /* cut: not 
 orl_err surface_build(const stage1 *s, surface *out);
 /* Takes away what the photos' sky shines through. Bricks may be left without surface; surface_prune drops them. */
 orl_err surface_carve(surface *s, const world *w, int threads);
-/* Drops bricks that no training ray of a pixel labelled scene hits (nor any neighbour of such a brick): nobody saw them. What stands behind twigs or clouds that nobody could label is most often no surface. */
+/* Drops bricks that no training ray of a pixel labelled scene hits, but for those that no ray hits and that lie beside one that is hit. What only unlabelled pixels show (sky between twigs, clouds) is most often no
+ * surface. */
 orl_err surface_prune(surface *s, const world *w, int threads);
 /* Openness and horizons on the light vertices of every brick, traced on the surface itself. */
 orl_err surface_light(surface *s, int threads);
