@@ -20,7 +20,7 @@ typedef struct { const char *name; int long_side, longest, rays, steps, pixels, 
 static const preset PRESETS[] = {
     { "demo",     320, 192, 2048,  2000,  8000,  40 },
     { "quick",    384, 256, 2048,  6000, 30000,  60 },
-    { "standard", 640, 512, 4096,  6000, 90000,  50 },
+    { "standard", 640, 512, 4096,  2500, 90000,  50 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
 enum { ROUND_STEPS = 6, REFINE_ROUNDS = 6, NERFW_STEPS = 4 };      /* the baseline takes four steps of a quarter of the rays for one of stage 1: it needs steps more than rays */
@@ -29,7 +29,7 @@ static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
-    "      --preset NAME      demo, quick, standard (default) or full: about 2, 8, 30, 180 minutes on two cores\n"
+    "      --preset NAME      demo, quick, standard (default) or full: about 2, 6, 15, 180 minutes on two cores\n"
     "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky, --no-masks and --refine-poses again)\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"
