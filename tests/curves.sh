@@ -8,8 +8,8 @@
 set -eu -o pipefail
 T=$1/oriel-train
 shift
-ours=${CURVES_OURS:-"--preset quick --steps 800 --rounds 12
---preset quick --steps 2000 --rounds 30
+ours=${CURVES_OURS:-"--preset demo --steps 400 --rounds 10
+--preset quick --steps 800 --rounds 12
 --preset quick
 --preset standard"}
 encodings=${CURVES_ENCODINGS-"ours textbook"}

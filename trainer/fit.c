@@ -19,7 +19,7 @@
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {
     { "demo",     320, 192, 2048,  2000,  8000,  40 },
-    { "quick",    384, 256, 2048,  6000, 30000,  60 },
+    { "quick",    384, 256, 2048,  2000, 30000,  30 },
     { "standard", 640, 512, 4096,  2500, 90000,  50 },
     { "full",     768, 768, 4096, 45000, 60000, 160 },
 };
@@ -29,7 +29,7 @@ static const char USAGE[] =
     "Usage: oriel-train fit SCENE -o FILE.oriel [options]\n"
     "Learns an attraction from a SCENE folder (photos/, sparse/0, optional masks/, split.tsv) and writes a scene file.\n\n"
     "  -o, --output FILE      scene file to write; FILE.ckpt holds the float model and the way to resume\n"
-    "      --preset NAME      demo, quick, standard (default) or full: about 2, 6, 15, 180 minutes on two cores\n"
+    "      --preset NAME      demo, quick, standard (default) or full: about 2, 4, 15, 180 minutes on two cores\n"
     "      --resume           go on from FILE.ckpt with the settings it was made with (give --sky, --no-masks and --refine-poses again)\n"
     "      --stage2           redo stage 2 from FILE.ckpt's geometry\n"
     "      --time-budget MIN  stop refining after so many minutes (not repeatable: steps depend on the machine)\n"
@@ -157,6 +157,14 @@ static int spent(const run *r, double share)
 
 static orl_err save_sometimes(run *r) { return now() - r->last_save >= r->o->checkpoint_seconds ? save(r) : ORL_OK; }
 
+/* Stage 2 takes the pixels that it needs of the photos. */
+static orl_err begin_stage2(run *r)
+{
+    orl_err e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
+    world_forget(&r->w);
+    return e;
+}
+
 /* What follows the checkpoint's header. */
 static orl_err resume(run *r, FILE *ck)
 {
@@ -183,7 +191,7 @@ static orl_err resume(run *r, FILE *ck)
     if (!e) e = stage1_load(&r->s1, ck, 0, path);
     if (!e) e = refine_load(&r->w, ck, path);
     if (!e && r->o->stage2) e = surface_light(&r->surf, r->head.threads);
-    if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
+    if (!e) e = begin_stage2(r);
     if (!e && !r->o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&r->s2, ck, phase == 2, path);
     if (!e && (r->s2.round < 0 || r->s2.round > r->head.rounds)) e = orl_fail(ORL_E_RANGE, "%s: stage 2 round %d of %d", path, r->s2.round, r->head.rounds);
     return e;
@@ -256,7 +264,7 @@ static orl_err run_stage1(run *r)
     stereo_free(&r->st);
     if ((e = surface_build(s, &r->surf)) || (e = surface_carve(&r->surf, &r->w, r->head.threads)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
     tell("surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
-    if ((e = stage2_init(&r->s2, &r->w, &r->surf, s, &r->light, &r->o2))) return e;
+    if ((e = begin_stage2(r))) return e;
     r->head.phase = 2;
     return ORL_OK;
 }

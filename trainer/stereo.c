@@ -710,6 +710,7 @@ void stereo_end(stereo_work *j)
     free(j->shots);
     free(j->all);
     free(j);
+    malloc_trim(0);                             /* its arrays are most of the memory of a run, and too small for the C library to give back by itself */
 }
 
 /* ---- a surface against the photos ---- */
@@ -731,7 +732,7 @@ orl_err stereo_watch(stereo_work *j)
         make_pairs(j);
         memcpy(j->all[j->k], j->pairs, sizeof j->pairs);
     }
-    malloc_trim(0);                             /* depth maps are most of the memory of a run, and too small for the C library to give back by itself */
+    malloc_trim(0);                             /* as in stereo_end */
     return ORL_OK;
 }
 

@@ -1,5 +1,6 @@
 /* Loads the training set and fixes the scene's frame: up from the cameras (the direction most orthogonal to their x axes), box and scale from the SfM points. */
 #include "trainer/world.h"
+#include <malloc.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -422,13 +423,21 @@ int world_ray_step(const world *w)
     return (int)fmax(LEAST, ceil(sqrt(pixels / RAYS)));
 }
 
-void world_free(world *w)
+void world_forget(world *w)
 {
     for (int i = 0; w->photos && i < w->nphotos; i++) {
         free(w->photos[i].rgb);
         free(w->photos[i].blocks);
-        free(w->photos[i].labels);
+        w->photos[i].rgb = NULL;
+        w->photos[i].blocks = NULL;
     }
+    malloc_trim(0);                             /* photos are too small for the C library to give back by itself */
+}
+
+void world_free(world *w)
+{
+    world_forget(w);
+    for (int i = 0; w->photos && i < w->nphotos; i++) free(w->photos[i].labels);
     free(w->photos);
     free(w->obs);
     free(w->points);

@@ -52,6 +52,8 @@ typedef struct {
 orl_err world_load(const orl_dataset *d, int long_side, int longest, int use_masks, int threads, world *out);
 /* One SfM point in 20, by a hash of its COLMAP id, trains nothing but the size of the box: `eval --geometry` measures the surface against it. */
 int world_held_out(const orl_colmap_point *p);
+/* Gives the photos' colours back; labels and cameras stay. No world_rgb after it. */
+void world_forget(world *w);
 void world_free(world *w);
 void frame_apply(const frame *f, const double world[3], double grid[3]);
 float frame_ground_height(const frame *f, const float x[3]);
