@@ -8,7 +8,8 @@
 set -eu -o pipefail
 T=$1/oriel-train
 shift
-ours=${CURVES_OURS:-"--preset demo --steps 400 --rounds 10
+ours=${CURVES_OURS:-"--preset demo --long-side 240 --steps 300 --rounds 10
+--preset demo --steps 400 --rounds 10
 --preset quick --steps 800 --rounds 12
 --preset quick
 --preset standard"}
