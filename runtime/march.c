@@ -4,8 +4,8 @@
  * Inside bricks the trilinear SDF (8-bit fractions) gives the step: 7/8 of the distance, 1/4 to 3.5 cells.
  *
  * What counts as a hit: the first sample that is not positive after free space. Space without bricks is free: a ray that leaves it straight into the solid (a wall's back at the box border,
- * the cut side of bricks that nobody saw) hits there and gets the SDF's own normal, so it is lit as the nearest surface, never a hole. A camera that starts inside the solid sees through it
- * until the first free sample. */
+ * the cut side of bricks that nobody saw) hits there and gets the SDF's own normal; what a cut shows is the view's to say (view.c). A ray that starts inside the solid sees through it until
+ * the first free sample. */
 #include "runtime/march.h"
 #include <string.h>
 

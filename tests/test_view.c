@@ -56,6 +56,26 @@ static double analytic(const double o[3], const double d[3], double n[3])
 
 static const double eye[3] = { -40, -60, 70 }, target[3] = { 32, 32, 18 };
 
+/* What pixel (x, y) of a picture taken from `eye` holds, its ray, and the analytic scene's distance and normal along it. */
+static double look(const built *b, int x, int y, orl_sample *s, double d[3], double n[3])
+{
+    orl_view_sample(&b->v, x, y, s);
+    for (int a = 0; a < 3; a++) d[a] = s->dir[a];
+    return analytic(eye, d, n);
+}
+
+static double depth_of(const built *b, int x, int y) { return b->v.depth[(size_t)y * (size_t)b->v.stride + (size_t)x] / 16.0; }
+
+/* The scene's brick map without the bricks [lo, hi), malloc'd. */
+static int32_t *map_without(const int lo[3], const int hi[3])
+{
+    size_t total = (size_t)scene.nb[0] * scene.nb[1] * scene.nb[2];
+    int32_t *map = malloc(total * sizeof *map);
+    memcpy(map, scene.bmap, total * sizeof *map);
+    for (int z = lo[2]; z < hi[2]; z++) for (int y = lo[1]; y < hi[1]; y++) for (int x = lo[0]; x < hi[0]; x++) map[((size_t)z * scene.nb[1] + (size_t)y) * scene.nb[0] + (size_t)x] = -1;
+    return map;
+}
+
 static void test_depth_and_normal(void **state)
 {
     (void)state;
@@ -67,15 +87,12 @@ static void test_depth_and_normal(void **state)
     double depth_sum = 0, depth_max = 0, angle_sum = 0, albedo_sum = 0;
     for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
         orl_sample s;
-        double n[3], d[3];
-        orl_view_sample(&b.v, x, y, &s);
-        for (int a = 0; a < 3; a++) d[a] = s.dir[a];
-        double t = analytic(eye, d, n);
+        double n[3], d[3], t = look(&b, x, y, &s, d, n);
         if (enters_below(eye, d)) continue;
         size_t at = (size_t)y * (size_t)b.v.stride + (size_t)x;
         if ((t > 0) != (s.cov == 1)) { wrong++; continue; }
         if (t <= 0) { assert_int_equal(b.v.depth[at], 65535); continue; }
-        double e = fabs(b.v.depth[at] / 16.0 - t), dot = 0;
+        double e = fabs(depth_of(&b, x, y) - t), dot = 0;
         if (e > 2) { wrong++; continue; }           /* other side of a silhouette or of the crease */
         for (int a = 0; a < 3; a++) dot += n[a] * s.normal[a];
         hits++;
@@ -130,10 +147,7 @@ static void test_gap(void **state)
     (void)state;
     enum { GAP = 3 };
     static uint8_t colour[ORL_GROUND_SIDE * ORL_GROUND_SIDE][3];
-    size_t total = (size_t)scene.nb[0] * scene.nb[1] * scene.nb[2];
-    int32_t *whole = (int32_t *)scene.bmap, *gap = malloc(total * sizeof *gap);
-    memcpy(gap, whole, total * sizeof *gap);
-    gap[((size_t)GAP * scene.nb[1] + GAP) * scene.nb[0] + GAP] = -1;
+    int32_t *whole = (int32_t *)scene.bmap, *gap = map_without((int[3]){ GAP, GAP, GAP }, (int[3]){ GAP + 1, GAP + 1, GAP + 1 });
     orl_camera cam = synth_camera(320, 240, 45);
     orl_pose pose = synth_look(&scene, eye, target);
     scene.bmap = gap;
@@ -144,14 +158,11 @@ static void test_gap(void **state)
     build(&b, &cam, &pose, 1, 2);
     for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
         orl_sample s;
-        double n[3], d[3];
-        orl_view_sample(&b.v, x, y, &s);
-        for (int a = 0; a < 3; a++) d[a] = s.dir[a];
-        double t = analytic(eye, d, n), fall = (SYNTH_GROUND - eye[2]) / d[2];
+        double n[3], d[3], t = look(&b, x, y, &s, d, n), fall = (SYNTH_GROUND - eye[2]) / d[2];
         int in = t > 0 && d[2] < 0 && t < fall - 2;
         for (int a = 0; a < 3; a++) in &= fabs((eye[a] + t * d[a]) / 8 - GAP - 0.5) < 0.48 && (a == 2 || fabs((eye[a] + fall * d[a]) / 8 - 4) < 4);
         if (!in) continue;
-        double e = b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - fall;
+        double e = depth_of(&b, x, y) - fall;
         assert_true(s.normal[2] > 0.99f);
         assert_true(e < 0.1 && e > -0.1 - ORL_GROUND_CUT * 8 * scene.nb[0] / -d[2]);
         through++;
@@ -169,10 +180,7 @@ static void test_hole(void **state)
     (void)state;
     enum { X0 = 1, X1 = 3, Y0 = 0, Y1 = 2, Z = (int)(SYNTH_GROUND / 8) };
     static uint8_t colour[ORL_GROUND_SIDE * ORL_GROUND_SIDE][3];
-    size_t total = (size_t)scene.nb[0] * scene.nb[1] * scene.nb[2];
-    int32_t *whole = (int32_t *)scene.bmap, *holed = malloc(total * sizeof *holed);
-    memcpy(holed, whole, total * sizeof *holed);
-    for (int y = Y0; y < Y1; y++) for (int x = X0; x < X1; x++) holed[((size_t)Z * scene.nb[1] + (size_t)y) * scene.nb[0] + (size_t)x] = -1;
+    int32_t *whole = (int32_t *)scene.bmap, *holed = map_without((int[3]){ X0, Y0, Z }, (int[3]){ X1, Y1, Z + 1 });
     for (int i = 0; i < ORL_GROUND_SIDE * ORL_GROUND_SIDE; i++) memcpy(colour[i], (uint8_t[3]){ 10, 200, 30 }, 3);
     orl_camera cam = synth_camera(160, 120, 45);
     orl_pose pose = synth_look(&scene, eye, target);
@@ -185,12 +193,9 @@ static void test_hole(void **state)
         build(&b, &cam, &pose, 1, 2);
         for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
             orl_sample s;
-            double n[3], d[3];
-            orl_view_sample(&b.v, x, y, &s);
-            for (int a = 0; a < 3; a++) d[a] = s.dir[a];
-            double t = analytic(eye, d, n), px = (eye[0] + t * d[0]) / 8, py = (eye[1] + t * d[1]) / 8;
+            double n[3], d[3], t = look(&b, x, y, &s, d, n), px = (eye[0] + t * d[0]) / 8, py = (eye[1] + t * d[1]) / 8;
             if (t <= 0 || n[2] < 1 || enters_below(eye, d) || px < X0 + 0.02 || px > X1 - 0.02 || py < Y0 + 0.02 || py > Y1 - 0.02) continue;
-            double e = b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - t, most = 1.2 * low / -d[2];
+            double e = depth_of(&b, x, y) - t, most = 1.2 * low / -d[2];
             assert_true(s.albedo[1] > 0.6f && s.albedo[0] < 0.01f);
             assert_true(s.normal[2] > 0.999f);
             assert_true(e > -0.1 && e < most + 0.1);
@@ -216,7 +221,7 @@ static void test_hole(void **state)
         double t = s.dir[2] < -0.01 ? -10 / s.dir[2] : 0;
         if (t <= 0 || beside[0] + t * s.dir[0] > -0.5) continue;
         assert_true(s.albedo[1] > 0.6f && s.albedo[0] < 0.01f && s.normal[2] > 0.999f);
-        assert_true(fabs(b.v.depth[(size_t)y * (size_t)b.v.stride + (size_t)x] / 16.0 - t) < 0.1);
+        assert_true(fabs(depth_of(&b, x, y) - t) < 0.1);
         before++;
     }
     assert_true(before > 1000);

@@ -1,6 +1,7 @@
 /* `oriel-train fit`: photos in, scene file out. Stages, checkpoints, progress. */
 #include <errno.h>
 #include <getopt.h>
+#include <malloc.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -162,6 +163,7 @@ static orl_err begin_stage2(run *r)
 {
     orl_err e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
     world_forget(&r->w);
+    malloc_trim(0);                             /* photos are too small for the C library to give back by itself */
     return e;
 }
 

@@ -1,6 +1,5 @@
 /* Loads the training set and fixes the scene's frame: up from the cameras (the direction most orthogonal to their x axes), box and scale from the SfM points. */
 #include "trainer/world.h"
-#include <malloc.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -431,7 +430,6 @@ void world_forget(world *w)
         w->photos[i].rgb = NULL;
         w->photos[i].blocks = NULL;
     }
-    malloc_trim(0);                             /* photos are too small for the C library to give back by itself */
 }
 
 void world_free(world *w)
