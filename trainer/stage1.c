@@ -128,6 +128,7 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
     }
     if (!e) e = grid_init(&s->codes, (int[3]){ w->nphotos, 1, 1 }, 1, FEAT, opt->threads);
     s->transient_px = fmaxf(TRANSIENT_PX, (float)(tw > th ? tw : th) / TRANSIENT_CELLS);
+    while (((double)tw / s->transient_px + 1) * ((double)th / s->transient_px + 1) * w->nphotos > TRANSIENT_ALL) s->transient_px *= 1.1f;
     if (!e) e = grid_init(&s->transient, (int[3]){ (int)((float)tw / s->transient_px) + 1, (int)((float)th / s->transient_px) + 1, w->nphotos }, 1, 8, opt->threads);
     if (e) stage1_free(s);
     return e;

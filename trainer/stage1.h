@@ -4,7 +4,7 @@
 #include "trainer/grid.h"
 #include "trainer/stereo.h"
 
-enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96 };
+enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96, TRANSIENT_ALL = 2 << 20 };
 
 typedef struct {
     int rays;                       /* per step */
@@ -27,7 +27,7 @@ typedef struct {
     grid hull, fused;               /* the first SDF, kept (cells of 2), and what the fused points add to it (cells of 1): the surface stays near their sum unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
     grid codes;                     /* per photo: appearance code 0..3, gain 4..6, bias 7..9, background 10..12 */
-    float transient_px;             /* pixels between two of its vertices: TRANSIENT_PX, more where that makes over TRANSIENT_CELLS along the longest photo */
+    float transient_px;             /* pixels between two of its vertices: TRANSIENT_PX, more where that makes over TRANSIENT_CELLS along the longest photo or TRANSIENT_ALL in all photos */
     grid transient;                 /* per photo: logit of alpha, RGB, beta before softplus */
 } stage1;
 
