@@ -4,7 +4,7 @@
 #include "trainer/grid.h"
 #include "trainer/stereo.h"
 
-enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96, TRANSIENT_ALL = 2 << 20 };
+enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96, TRANSIENT_ALL = 1 << 19 };
 
 typedef struct {
     int rays;                       /* per step */
