@@ -164,11 +164,13 @@ static void panorama_geometry(void **state)
     write_hdr(path[0], &im);
     orl_imagef_free(&im);
     static orl_sky s, t;
-    orl_err e = sky_from_panorama(path[0], &s);
+    double azimuth;
+    orl_err e = sky_from_panorama(path[0], &s, &azimuth);
     unlink(path[0]);
     assert_int_equal(e, ORL_OK);
     double el = M_PI / 2 - (SY + 0.5) * M_PI / H, area = 2 * M_PI / W * M_PI / H * cos(el);
     assert_true(fabs(s.sun_el - el) < 0.04);
+    assert_true(fabs(azimuth - (0.5 - (SX + 0.5) / W) * 2 * M_PI) < 0.04);
     /* Sun against sky keeps its ratio: (5000 - 0.5) * area to 0.5. */
     double ratio = exp(s.ln_sun[1] - s.log_env[2 * ORL_ENV_COLS + 2][1]);
     assert_true(fabs(ratio / (4999.5 * area / 0.5) - 1) < 0.1);
@@ -183,13 +185,13 @@ static void panorama_geometry(void **state)
     assert_int_equal(orl_imagef_alloc(&im, 100, 80, 3), ORL_OK);
     write_hdr(path[1], &im);
     orl_imagef_free(&im);
-    e = sky_from_panorama(path[1], &s);
+    e = sky_from_panorama(path[1], &s, NULL);
     unlink(path[1]);
     assert_int_equal(e, ORL_E_FORMAT);
     assert_int_equal(orl_imagef_alloc(&im, W, H, 3), ORL_OK);
     write_hdr(path[2], &im);
     orl_imagef_free(&im);
-    e = sky_from_panorama(path[2], &s);
+    e = sky_from_panorama(path[2], &s, NULL);
     unlink(path[2]);
     assert_int_equal(e, ORL_E_DEGENERATE);
 }
@@ -210,7 +212,7 @@ static void panoramas_held_out(void **state)
         char path[256];
         float z[ORL_ENV_DIM];
         snprintf(path, sizeof path, DATA "/%s", NAME[i]);
-        assert_int_equal(sky_from_panorama(path, &s), ORL_OK);
+        assert_int_equal(sky_from_panorama(path, &s, NULL), ORL_OK);
         float alone = orl_sky_project(&m, &s, NULL), best = orl_sky_project(&m, &s, z);
         print_message("%s: mean alone %.3f, decoder %.3f\n", NAME[i], (double)alone, (double)best);
         assert_true(best < 0.8f * alone);

@@ -11,6 +11,7 @@
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
 #include "trainer/eval.h"
+#include "trainer/truth.h"
 #include "trainer/order.h"
 #include "trainer/plot.h"
 
@@ -376,12 +377,12 @@ static orl_err make(page *p)
 {
     const options *o = p->o;
     baselines base = { 0 };
-    figure f[EVAL_FIGURES];
+    figure f[TRUTH_FIGURES];
     text out = { 0 };
     int n = 0, train = 0, test = 0;
     orl_err e = baselines_open(p->d, SCORED, &base);
     eval_setup setup = { .scene = p->s, .model = p->model, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
-    if (!e) e = eval_geometry(p->d, p->s, p->head ? o->checkpoint : NULL, o->threads, f, &n);
+    if (!e) e = truth_geometry(p->d, p->s, &(truth_options){ .checkpoint = p->head ? o->checkpoint : NULL, .threads = o->threads }, f, &n);
     if (!e) e = add_outside(p);
     if (!e) add_curves(p);
     if (!e) text_add(&p->body, "<h2>Test photos</h2>\n<p>The light of each is found on its left half; the right half is scored.</p>\n");

@@ -53,7 +53,7 @@ static void cut_sun(orl_imagef *im, double dir[3], double irradiance[3])
             }
 }
 
-orl_err sky_from_panorama(const char *path, orl_sky *out)
+orl_err sky_from_panorama(const char *path, orl_sky *out, double *azimuth)
 {
     orl_imagef im;
     orl_err e = orl_oiio_read_float(path, &im);
@@ -81,6 +81,7 @@ orl_err sky_from_panorama(const char *path, orl_sky *out)
     s.sun_el = (float)asin(fmin(fmax(dir[2], -1), 1));
     orl_sky_expose(&s, 0, 0);
     *out = s;
+    if (azimuth) *azimuth = remainder(az_sun + M_PI, 2 * M_PI);     /* ray counts from the left rim */
 done:
     orl_imagef_free(&im);
     return e;
@@ -168,7 +169,7 @@ int cmd_sky(int argc, char **argv)
     orl_err e = p && skies && scene && plain ? ORL_OK : orl_fail(ORL_E_MEMORY, "sky: no memory");
     if (!e) e = gather(argv + optind, argc - optind, p, &n);
     for (int i = 0; !e && i < n; i++) {
-        if (sky_from_panorama(p[i].path, &p[i].sky)) { fprintf(stderr, "sky: left out: %s\n", orl_error_text()); continue; }
+        if (sky_from_panorama(p[i].path, &p[i].sky, NULL)) { fprintf(stderr, "sky: left out: %s\n", orl_error_text()); continue; }
         p[i].role = sky_split(p[i].path);
         if (p[i].role == SKY_BASILICA && basilica) p[i].role = SKY_TRAIN;
         train += p[i].role == SKY_TRAIN;
