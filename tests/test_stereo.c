@@ -223,8 +223,39 @@ static void slopes_to_the_surface(void **state)
     world_free(&w);
 }
 
+/* Each photo keeps its share, in order, and knows where its points begin. */
+static void thins_evenly(void **state)
+{
+    (void)state;
+    enum { PHOTOS = 4, ALL = 100, MOST = 30 };
+    static const uint32_t BEGIN[PHOTOS + 1] = { 0, 40, 40, 43, ALL };
+    static stereo_point p[ALL];
+    uint32_t begin[PHOTOS + 1], k = 0;
+    stereo st = { .points = p, .npoints = ALL, .begin = begin };
+    memcpy(begin, BEGIN, sizeof begin);
+    for (uint32_t i = 0; i < ALL; i++) {
+        while (i >= BEGIN[k + 1]) k++;
+        p[i] = (stereo_point){ .x = { (float)i, 0, 0 }, .photo = k };
+    }
+    stereo_thin(&st, PHOTOS, ALL);
+    assert_int_equal(st.npoints, ALL);
+    stereo_thin(&st, PHOTOS, MOST);
+    assert_int_equal(st.npoints, MOST);
+    assert_int_equal(begin[0], 0);
+    assert_int_equal(begin[PHOTOS], MOST);
+    for (uint32_t q = 0; q < PHOTOS; q++) {
+        int32_t share = (int32_t)((BEGIN[q + 1] - BEGIN[q]) * MOST / ALL), got = (int32_t)(begin[q + 1] - begin[q]);
+        assert_in_range(got - share + 1, 0, 2);
+        for (uint32_t i = begin[q]; i < begin[q + 1]; i++) {
+            assert_int_equal(p[i].photo, q);
+            assert_true(i == 0 || p[i].x[0] > p[i - 1].x[0]);
+        }
+    }
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(finds_the_plane), cmocka_unit_test(repeats), cmocka_unit_test(slopes_to_the_surface), cmocka_unit_test(finds_nothing_in_nothing) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(finds_the_plane), cmocka_unit_test(repeats), cmocka_unit_test(slopes_to_the_surface), cmocka_unit_test(finds_nothing_in_nothing),
+                                         cmocka_unit_test(thins_evenly) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

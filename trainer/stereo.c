@@ -14,7 +14,7 @@
 #include "trainer/ranks.h"
 #include "trainer/grid.h"
 
-enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 2, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, PADDED = 64, MOST_POINTS = 6000000 };
+enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 2, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, PADDED = 64, MOST_POINTS = 6000000 };     /* MOST_POINTS: some for each cell of a surface are enough */
 #define MOST_PIXELS ((size_t)32 << 20)  /* of all pictures at level 0, 46 bytes each: beyond, large photos are halved and a choice of them takes part */
 #define HALVE_PIXELS ((size_t)400000)
 #define COST_MAX 2.0f           /* 1 - correlation */
@@ -681,15 +681,14 @@ double stereo_progress(const stereo_work *j)
     return (1 - GEOMETRIC * share) * first / n + share * (j->unit - first) / n;
 }
 
-/* Of a large collection every so manieth point: some for each cell of the surface is enough. */
-static void thin(stereo *st, int photos)
+void stereo_thin(stereo *st, int photos, uint32_t most)
 {
     uint64_t n = st->npoints;
     uint32_t to = 0;
-    if (n <= MOST_POINTS) return;
+    if (n <= most) return;
     for (int k = 0; k < photos; k++) {
         uint32_t begin = to;
-        for (uint64_t i = st->begin[k]; i < st->begin[k + 1]; i++) if ((i + 1) * MOST_POINTS / n > i * MOST_POINTS / n) st->points[to++] = st->points[i];
+        for (uint64_t i = st->begin[k]; i < st->begin[k + 1]; i++) if ((i + 1) * most / n > i * most / n) st->points[to++] = st->points[i];
         st->begin[k] = begin;
     }
     st->begin[photos] = st->npoints = to;
@@ -711,7 +710,7 @@ orl_err stereo_finish(stereo_work *j, stereo *out)
         if (j->shots[k].ncompanions) st.npoints += confirm(j, k, st.points + st.npoints);
         st.begin[k + 1] = st.npoints;
     }
-    thin(&st, j->w->nphotos);
+    stereo_thin(&st, j->w->nphotos, MOST_POINTS);
     stereo_point *fit = realloc(st.points, ((size_t)st.npoints + 1) * sizeof *fit);
     if (fit) st.points = fit;
     *out = st;

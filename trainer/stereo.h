@@ -23,7 +23,7 @@ typedef struct stereo_work stereo_work;
 orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **out);    /* ORL_E_MEMORY */
 int stereo_step(stereo_work *s);                /* 0: nothing was left to do */
 double stereo_progress(const stereo_work *s);   /* 0..1 */
-orl_err stereo_finish(stereo_work *s, stereo *out);     /* no step after it */
+orl_err stereo_finish(stereo_work *s, stereo *out);     /* no step after it; of very many points a share stays */
 void stereo_end(stereo_work *s);                /* NULL is fine */
 /* Depth maps on the way. Only where stereo_can_save says so: between the passes that need all maps at once, or within the first. */
 int stereo_can_save(const stereo_work *s);
@@ -36,6 +36,8 @@ orl_err stereo_watch(stereo_work *s);
  * 0 where nothing can be said: no texture, no companion that sees the same. */
 float stereo_slope(const stereo_work *s, int photo, const float x[3], const float n[3], rng *r);
 
+/* Keeps points at even distances in their order, so that at most `most` stay. */
+void stereo_thin(stereo *s, int photos, uint32_t most);
 orl_err stereo_save(const stereo *s, FILE *f);          /* what stereo found itself */
 orl_err stereo_load(stereo *s, const world *w, FILE *f, const char *path);
 /* Points of photo k by the square of side x side pixels that they lie in: index + 1, 0 = none; (w / side + 1) x (h / side + 1), malloc'd. NULL: no memory. */
