@@ -10,6 +10,7 @@ enum { W = 96, H = 64 };
 #define SUN_AZ 0.7                  /* world, radians */
 #define SUN_EL 0.6
 
+static const truth_options OPTIONS = { .long_side = W, .threads = 1 };
 static orl_scene scene;
 static orl_dataset data;
 static orl_photo photo;
@@ -20,8 +21,7 @@ static void *block;
 static void to_world(const double d[3], double out[3])
 {
     const double *m = scene.world_to_grid;
-    double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
-    for (int k = 0; k < 3; k++) out[k] = (m[k] * d[0] + m[4 + k] * d[1] + m[8 + k] * d[2]) / scale;
+    for (int k = 0; k < 3; k++) out[k] = (m[k] * d[0] + m[4 + k] * d[1] + m[8 + k] * d[2]) / SYNTH_SCALE;
 }
 
 static void put(const char *name, float (*value)(const orl_sample *q, size_t at, int c), int channels)
@@ -87,9 +87,8 @@ static void panorama(const char *name)
 static void by_hand(void)
 {
     double world[3] = { cos(SUN_AZ) * cos(SUN_EL), sin(SUN_AZ) * cos(SUN_EL), sin(SUN_EL) }, sun[3] = { 0 }, area = 2 * M_PI / 256 * M_PI / 128 * cos(SUN_EL), up;
-    const double *m = scene.world_to_grid, scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
     float env[ORL_ENV][3], code[ORL_CODE];
-    for (int k = 0; k < 3; k++) for (int c = 0; c < 3; c++) sun[k] += m[4 * k + c] * world[c] / scale;
+    for (int k = 0; k < 3; k++) for (int c = 0; c < 3; c++) sun[k] += scene.world_to_grid[4 * k + c] * world[c] / SYNTH_SCALE;
     up = (0.5 * M_PI + 3000 * area * sin(SUN_EL)) / M_PI;           /* a white horizontal surface shows 1 */
     for (int w = 0; w < ORL_ENV; w++) for (int c = 0; c < 3; c++) env[w][c] = (float)(0.5 / up);
     memcpy(code, scene.light.prior_mean, sizeof code);
@@ -114,6 +113,8 @@ static int set_up(void **state)
     if (!block || orl_view_build(&scene, &photo.cam, &photo.pose, 2, 1, block, orl_view_need(W, H), &view)) return -1;
     make_way(at("gt/env/"));
     put_text(at("gt/photo_params.json"), "{ \"a\": { \"sun_dir\": null } }\n");
+    put("gt/a_depth.exr", true_depth, 1);
+    put("gt/a_normal.exr", true_normal, 3);
     by_hand();
     return 0;
 }
@@ -136,11 +137,8 @@ static void geometry_is_its_own_truth(void **state)
 {
     (void)state;
     figure f[TRUTH_FIGURES];
-    truth_options o = { .long_side = W, .threads = 1 };
     int n = 0;
-    put("gt/a_depth.exr", true_depth, 1);
-    put("gt/a_normal.exr", true_normal, 3);
-    assert_int_equal(truth_geometry(&data, &scene, &o, f, &n), ORL_OK);
+    assert_int_equal(truth_geometry(&data, &scene, &OPTIONS, f, &n), ORL_OK);
     assert_true(get(f, n, "depth_median_rel") < 1e-3);
     assert_true(get(f, n, "normal_mean_deg") < 0.1);
     assert_true(get(f, n, "sky_covered") < 0.02);              /* pixels on the rim */
@@ -150,14 +148,11 @@ static void factors_are_their_own_truth(void **state)
 {
     (void)state;
     figure f[TRUTH_FIGURES];
-    truth_options o = { .long_side = W, .threads = 1 };
     int n = 0;
-    put("gt/a_depth.exr", true_depth, 1);
-    put("gt/a_normal.exr", true_normal, 3);
     put("gt/a_albedo.exr", true_albedo, 3);
     put("gt/a_relit_noon.exr", relit, 3);
     panorama("gt/env/relit_noon.exr");
-    assert_int_equal(truth_factors(&data, &scene, &o, f, &n), ORL_OK);
+    assert_int_equal(truth_factors(&data, &scene, &OPTIONS, f, &n), ORL_OK);
     print_message("base colour %.1f dB, relit %.1f dB, without shadow %.1f dB\n", get(f, n, "albedo_psnr"), get(f, n, "relit_psnr"), get(f, n, "relit_noshadow_psnr"));
     assert_true(get(f, n, "albedo_psnr") > 50);                 /* a factor a channel is free */
     assert_true(get(f, n, "relit_psnr") > 30);                  /* and so is one in all; what is left is the sun's place in a pixel */
@@ -165,7 +160,7 @@ static void factors_are_their_own_truth(void **state)
 
     put("gt/a_albedo.exr", grey, 3);
     n = 0;
-    assert_int_equal(truth_factors(&data, &scene, &o, f, &n), ORL_OK);
+    assert_int_equal(truth_factors(&data, &scene, &OPTIONS, f, &n), ORL_OK);
     assert_true(get(f, n, "albedo_psnr") < 30);                 /* no scale makes a pattern grey */
 }
 
@@ -173,15 +168,15 @@ static void truth_of_another_size_is_refused(void **state)
 {
     (void)state;
     figure f[TRUTH_FIGURES];
-    truth_options o = { .long_side = W, .threads = 1 };
     orl_imagef im;
     int n = 0;
     assert_int_equal(orl_imagef_alloc(&im, W / 2, H, 1), ORL_OK);
     assert_int_equal(orl_exr_write(at("gt/a_depth.exr"), &im, "Y"), ORL_OK);
     orl_imagef_free(&im);
-    assert_int_equal(truth_factors(&data, &scene, &o, f, &n), ORL_E_FORMAT);
+    assert_int_equal(truth_factors(&data, &scene, &OPTIONS, f, &n), ORL_E_FORMAT);
     assert_non_null(strstr(orl_error_text(), "a_depth.exr"));
     assert_int_equal(n, 0);
+    put("gt/a_depth.exr", true_depth, 1);
 }
 
 int main(void)

@@ -11,9 +11,9 @@
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
 #include "trainer/eval.h"
-#include "trainer/truth.h"
 #include "trainer/order.h"
 #include "trainer/plot.h"
+#include "trainer/truth.h"
 
 enum { SCORED = 512, SHOWN = 360, DOME = 220 };
 

@@ -127,8 +127,9 @@ orl_err stage1_init(stage1 *s, const world *w, const stage1_options *opt)
         th = w->photos[k].h > th ? w->photos[k].h : th;
     }
     if (!e) e = grid_init(&s->codes, (int[3]){ w->nphotos, 1, 1 }, 1, FEAT, opt->threads);
-    s->transient_px = fmaxf(TRANSIENT_PX, (float)(tw > th ? tw : th) / TRANSIENT_CELLS);
-    while (((double)tw / s->transient_px + 1) * ((double)th / s->transient_px + 1) * w->nphotos > TRANSIENT_ALL) s->transient_px *= 1.1f;
+    const float longest = (float)(tw > th ? tw : th);
+    s->transient_px = fmaxf(TRANSIENT_PX, longest / TRANSIENT_CELLS);
+    while (s->transient_px < longest && ((double)tw / s->transient_px + 1) * ((double)th / s->transient_px + 1) * w->nphotos > TRANSIENT_ALL) s->transient_px *= 1.1f;
     if (!e) e = grid_init(&s->transient, (int[3]){ (int)((float)tw / s->transient_px) + 1, (int)((float)th / s->transient_px) + 1, w->nphotos }, 1, 8, opt->threads);
     if (e) stage1_free(s);
     return e;

@@ -38,6 +38,7 @@ float stereo_slope(const stereo_work *s, int photo, const float x[3], const floa
 
 /* Keeps points at even distances in their order, so that at most `most` stay. */
 void stereo_thin(stereo *s, int photos, uint32_t most);
+
 orl_err stereo_save(const stereo *s, FILE *f);          /* what stereo found itself */
 orl_err stereo_load(stereo *s, const world *w, FILE *f, const char *path);
 /* Points of photo k by the square of side x side pixels that they lie in: index + 1, 0 = none; (w / side + 1) x (h / side + 1), malloc'd. NULL: no memory. */

@@ -223,7 +223,7 @@ int surface_meet(const surface *s, const float o[3], const float d[3], surface_h
     return MET_GROUND;
 }
 
-enum { GUESSED = 1, SEEN = 2 };             /* bits: a pixel labelled scene hits it, or another one does */
+enum { GUESSED = 1, SEEN = 2 };             /* bits of a brick: hit by a pixel labelled scene (SEEN), or by another one */
 typedef struct { const surface *s; const world *w; uint8_t *seen; int step; } prune_job;    /* seen: of each brick; step: pixels between two rays */
 
 static void prune_range(void *user, int begin, int end)

@@ -42,6 +42,17 @@ static void scene_rotation(const orl_scene *s, double R[9])
         for (int k = 0; k < 3; k++) R[3 * i + k] = m[4 * i + k] / scale;
 }
 
+static void to_scene(const double R[9], const double world[3], double out[3])
+{
+    for (int k = 0; k < 3; k++) out[k] = R[3 * k] * world[0] + R[3 * k + 1] * world[1] + R[3 * k + 2] * world[2];
+}
+
+static double angle_deg(const double a[3], const double b[3])
+{
+    double dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2], len = sqrt((a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) * (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]));
+    return acos(fmin(fmax(dot / fmax(len, 1e-12), -1), 1)) * 180 / 3.14159265358979;
+}
+
 /* Depths at held-out SfM points against their distance, over the training photos that see them, at the observed pixel: |t - t_point| / t_point along the ray. Where nothing is
  * met the error is 1; points outside the box are not the scene's. */
 static orl_err held_out(const orl_dataset *d, const orl_scene *s, int threads, figure out[2])
@@ -194,18 +205,15 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
                 }
                 near += (size_t)close;
                 if (!hit) continue;
-                double ray[3], t[3], dot = 0, len = 0;
+                double ray[3], truth[3];
                 orl_sample q;
                 orl_camera_unproject(&v.cam, x + 0.5, y + 0.5, ray);
                 orl_view_sample(&v, x, y, &q);
-                for (int k = 0; k < 3; k++) {
-                    t[k] = R[3 * k] * nm.px[3 * at] + R[3 * k + 1] * nm.px[3 * at + 1] + R[3 * k + 2] * nm.px[3 * at + 2];
-                    dot += t[k] * q.normal[k];
-                    len += t[k] * t[k];
-                }
+                to_scene(R, (double[]){ nm.px[3 * at], nm.px[3 * at + 1], nm.px[3 * at + 2] }, truth);
+                double off = angle_deg((double[]){ q.normal[0], q.normal[1], q.normal[2] }, truth);
                 for (int k = close ? 0 : 1; k < 2; k++) {
                     rel[k][n[k]++] = fabs(v.depth[own] / 16.0 * s->cell_world / unit / sqrt(ray[0] * ray[0] + ray[1] * ray[1] + 1) - z.px[at]) / z.px[at];
-                    angle[k] += acos(fmin(fmax(dot / sqrt(fmax(len, 1e-12)), -1), 1)) * 180 / 3.14159265358979;
+                    angle[k] += off;
                 }
             }
         free(mem);
@@ -299,17 +307,11 @@ static int true_sun(const char *json, const orl_photo *p, double dir[3])
     return sun_after(json, key, dir);
 }
 
-static double angle_deg(const double a[3], const double b[3])
-{
-    double dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2], len = sqrt((a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) * (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]));
-    return acos(fmin(fmax(dot / fmax(len, 1e-12), -1), 1)) * 180 / 3.14159265358979;
-}
-
 /* Angle between the sun of a code (scene frame) and a true one (world). */
 static double sun_error(const double R[9], const float *code, const double world[3])
 {
     double az = code[ORL_C_SUN_AZ], el = code[ORL_C_SUN_EL], ours[3] = { cos(az) * cos(el), sin(az) * cos(el), sin(el) }, sun[3];
-    for (int k = 0; k < 3; k++) sun[k] = R[3 * k] * world[0] + R[3 * k + 1] * world[1] + R[3 * k + 2] * world[2];
+    to_scene(R, world, sun);
     return angle_deg(ours, sun);
 }
 
@@ -336,42 +338,32 @@ static void scaling_add(scaling *s, double ours, double truth) { s->ab += ours *
 static double scaling_error(const scaling *s) { return fmax(s->bb - (s->aa > 0 ? s->ab * s->ab / s->aa : 0), 0); }
 
 /* Base colour of a test photo's view, linear, where there is depth; what the scene has no surface for counts as black. */
-static orl_err base_colour(const orl_dataset *d, const orl_photo *p, const orl_view *v, scaling sum[3], size_t *pixels)
+static void base_colour(const orl_view *v, const orl_imagef *depth, const orl_imagef *albedo, scaling sum[3], size_t *pixels)
 {
-    orl_imagef z = { 0 }, truth = { 0 };
-    orl_err e = read_truth(d, p, "depth", "Y", &z);
-    if (!e) e = read_truth(d, p, "albedo", "RGB", &truth);
-    for (int y = 0; !e && y < v->h; y++)
+    for (int y = 0; y < v->h; y++)
         for (int x = 0; x < v->w; x++) {
             size_t at = (size_t)y * (size_t)v->w + (size_t)x, own = (size_t)y * (size_t)v->stride + (size_t)x;
-            if (!(z.px[at] > 0)) continue;
-            for (int c = 0; c < 3; c++) scaling_add(&sum[c], v->albedo[c][own] / 65535.0, truth.px[3 * at + (size_t)c]);
+            if (!(depth->px[at] > 0)) continue;
+            for (int c = 0; c < 3; c++) scaling_add(&sum[c], v->albedo[c][own] / 65535.0, albedo->px[3 * at + (size_t)c]);
             ++*pixels;
         }
-    orl_imagef_free(&z);
-    orl_imagef_free(&truth);
-    return e;
 }
 
-static int by_float(const void *a, const void *b) { float x = *(const float *)a, y = *(const float *)b; return (x > y) - (x < y); }
-
-/* PSNR of a linear picture against the true one over pixels with depth: one scale for all, then shown so that the truth's 95th percentile of luminance is 0.8 linear, in sRGB. */
-static double relit_score(const float *ours, const float *truth, const float *depth, size_t n)
+/* PSNR of a linear picture against the true one over pixels with depth: one scale for all, then shown so that the truth's 95th percentile of luminance is 0.8 linear, in sRGB. 0 where nothing is to be seen.
+ * light: room for n numbers. */
+static double relit_score(const float *ours, const float *truth, const float *depth, size_t n, double *light)
 {
     scaling all = { 0 };
-    float *light = malloc((n + 1) * sizeof *light);
     size_t seen = 0;
     double err = 0;
-    for (size_t i = 0; light && i < n; i++) {
+    for (size_t i = 0; i < n; i++) {
         const float *t = truth + 3 * i;
         if (!(depth[i] > 0)) continue;
         for (int c = 0; c < 3; c++) scaling_add(&all, ours[3 * i + (size_t)c], t[c]);
-        light[seen++] = 0.2126f * t[0] + 0.7152f * t[1] + 0.0722f * t[2];
+        light[seen++] = 0.2126 * t[0] + 0.7152 * t[1] + 0.0722 * t[2];
     }
-    if (!seen || !(all.aa > 0)) { free(light); return 0; }
-    qsort(light, seen, sizeof *light, by_float);
-    double show = 0.8 / fmax(light[seen * 95 / 100], 1e-9), scale = all.ab / all.aa * show;
-    free(light);
+    if (!(all.aa > 0)) return 0;
+    double show = 0.8 / fmax(order_percentile(light, seen, 0.95), 1e-9), scale = all.ab / all.aa * show;
     for (size_t i = 0; i < n; i++)
         for (int c = 0; depth[i] > 0 && c < 3; c++) {
             double r = fmin(orl_light_encode((float)(scale * ours[3 * i + (size_t)c])), 1) - fmin(orl_light_encode((float)(show * truth[3 * i + (size_t)c])), 1);
@@ -390,7 +382,7 @@ static orl_err panorama_light(const orl_scene *s, const double R[9], const char 
     if (e) return e;
     for (int w = 0; w < ORL_ENV; w++) for (int c = 0; c < 3; c++) env[w][c] = expf(sky.log_env[w][c]);
     double world[3] = { cos(azimuth) * cos(sky.sun_el), sin(azimuth) * cos(sky.sun_el), sin(sky.sun_el) };
-    for (int k = 0; k < 3; k++) sun[k] = R[3 * k] * world[0] + R[3 * k + 1] * world[1] + R[3 * k + 2] * world[2];
+    to_scene(R, world, sun);
     memcpy(code, s->light.prior_mean, sizeof code);     /* as `oriel relight` */
     memset(code + ORL_C_TONE, 0, ORL_TONE_DIM * sizeof *code);
     code[ORL_C_SUN_AZ] = (float)atan2(sun[1], sun[0]);
@@ -400,59 +392,64 @@ static orl_err panorama_light(const orl_scene *s, const double R[9], const char 
     return ORL_OK;
 }
 
-/* Sums of PSNRs over the views of a test photo under other skies: our scene, and the true base colour under the true sky without any shadow. */
+/* Our scene's view under a light, and the true base colour under the same light without any shadow; linear. */
+static void relit_pictures(const orl_view *v, const orl_light *light, const double R[9], const orl_imagef *albedo, const orl_imagef *normal, float *ours, float *plain)
+{
+    for (size_t i = 0; i < (size_t)v->w * (size_t)v->h; i++) {
+        const float *n = normal->px + 3 * i;
+        orl_sample q;
+        double turned[3];
+        float shown[3], sky[3], facing = 0;
+        orl_view_sample(v, (int)(i % (size_t)v->w), (int)(i / (size_t)v->w), &q);
+        int met = q.cov > 0;
+        q.cov = 1;                              /* the surface's share alone; black where there is none */
+        orl_light_shade(light, &q, shown);
+        to_scene(R, (double[]){ n[0], n[1], n[2] }, turned);
+        const float true_n[3] = { (float)turned[0], (float)turned[1], (float)turned[2] };
+        orl_light_esky(light, true_n, sky);
+        for (int k = 0; k < 3; k++) facing += true_n[k] * light->sun_dir[k];
+        for (size_t c = 0; c < 3; c++) {
+            ours[3 * i + c] = met ? orl_light_decode_srgb(shown[c]) : 0;
+            plain[3 * i + c] = albedo->px[3 * i + c] * (sky[c] + fmaxf(facing, 0) * light->sun_rgb[c]);
+        }
+    }
+}
+
+/* Sums of PSNRs over the views of a test photo under other skies, gt/STEM_relit_SKY.exr. */
 typedef struct { double ours, noshadow; int n; } relit_sums;
 
-static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, const orl_view *v, const double R[9], relit_sums *sum)
+static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, const orl_view *v, const double R[9], const orl_imagef *depth, const orl_imagef *albedo, relit_sums *sum)
 {
-    char dir[1100], start[300], path[2048];
-    orl_imagef z = { 0 }, albedo = { 0 }, normal = { 0 };
-    size_t n = (size_t)v->w * (size_t)v->h, len;
+    char dir[1100], start[300], what[300], path[2048];
+    orl_imagef normal = { 0 };
+    size_t n = (size_t)v->w * (size_t)v->h, stem = strcspn(p->name, ".") + 1;
     float *ours = malloc(n * 3 * sizeof *ours), *plain = malloc(n * 3 * sizeof *plain);
+    double *room = malloc(n * sizeof *room);
     orl_light *light = malloc(sizeof *light);
-    orl_err e = ours && plain && light ? ORL_OK : orl_fail(ORL_E_MEMORY, "eval: no memory for a relit view");
+    orl_err e = ours && plain && room && light ? ORL_OK : orl_fail(ORL_E_MEMORY, "eval: no memory for a relit view");
     snprintf(dir, sizeof dir, "%.1024s/gt", d->dir);
-    snprintf(start, sizeof start, "%.*s_relit_", (int)strcspn(p->name, "."), p->name);
-    len = strlen(start);
+    snprintf(start, sizeof start, "%.*s_relit_", (int)stem - 1, p->name);
     DIR *all = opendir(dir);
     for (struct dirent *f; !e && all && (f = readdir(all));) {
-        size_t stem = strlen(f->d_name);
+        const char *dot = strrchr(f->d_name, '.');
         orl_imagef truth = { 0 };
-        if (strncmp(f->d_name, start, len) || stem < len + 4 || strcmp(f->d_name + stem - 4, ".exr")) continue;
-        if (!z.px) {
-            e = read_truth(d, p, "depth", "Y", &z);
-            if (!e) e = read_truth(d, p, "albedo", "RGB", &albedo);
-            if (!e) e = read_truth(d, p, "normal", "RGB", &normal);
-        }
-        snprintf(path, sizeof path, "%s/env/relit_%s", dir, f->d_name + len);
+        if (strncmp(f->d_name, start, strlen(start)) || !dot || strcmp(dot, ".exr")) continue;
+        snprintf(what, sizeof what, "%.*s", (int)(dot - f->d_name - (ptrdiff_t)stem), f->d_name + stem);
+        snprintf(path, sizeof path, "%s/env/%s.exr", dir, what);
+        if (!normal.px) e = read_truth(d, p, "normal", "RGB", &normal);
         if (!e) e = panorama_light(s, R, path, light);
-        snprintf(path, sizeof path, "%.*s", (int)(stem - 4 - len + 6), f->d_name + len - 6);         /* relit_SKY */
-        if (!e) e = read_truth(d, p, path, "RGB", &truth);
-        for (size_t i = 0; !e && i < n; i++) {
-            orl_sample q;
-            float shown[3], world[3] = { 0 }, sky[3];
-            orl_view_sample(v, (int)(i % (size_t)v->w), (int)(i / (size_t)v->w), &q);
-            float had = q.cov;
-            q.cov = 1;                          /* the surface's share alone; black where there is none */
-            orl_light_shade(light, &q, shown);
-            for (int k = 0; k < 3; k++) for (int c = 0; c < 3; c++) world[k] += (float)R[3 * k + c] * normal.px[3 * i + (size_t)c];
-            orl_light_esky(light, world, sky);
-            float facing = fmaxf(world[0] * light->sun_dir[0] + world[1] * light->sun_dir[1] + world[2] * light->sun_dir[2], 0);
-            for (int c = 0; c < 3; c++) {
-                ours[3 * i + (size_t)c] = had > 0 ? orl_light_decode_srgb(shown[c]) : 0;
-                plain[3 * i + (size_t)c] = albedo.px[3 * i + (size_t)c] * (sky[c] + facing * light->sun_rgb[c]);
-            }
-        }
+        if (!e) e = read_truth(d, p, what, "RGB", &truth);
         if (!e) {
-            sum->ours += relit_score(ours, truth.px, z.px, n);
-            sum->noshadow += relit_score(plain, truth.px, z.px, n);
+            relit_pictures(v, light, R, albedo, &normal, ours, plain);
+            sum->ours += relit_score(ours, truth.px, depth->px, n, room);
+            sum->noshadow += relit_score(plain, truth.px, depth->px, n, room);
             sum->n++;
         }
         orl_imagef_free(&truth);
     }
     if (all) closedir(all);
-    free(ours); free(plain); free(light);
-    orl_imagef_free(&z); orl_imagef_free(&albedo); orl_imagef_free(&normal);
+    free(ours); free(plain); free(room); free(light);
+    orl_imagef_free(&normal);
     return e;
 }
 
@@ -487,19 +484,24 @@ orl_err truth_factors(const orl_dataset *d, const orl_scene *s, const truth_opti
     scene_rotation(s, R);
     for (uint32_t i = 0; !e && i < d->nphotos; i++) {
         const orl_photo *p = &d->photos[i];
+        orl_imagef depth = { 0 }, colour = { 0 };
         orl_view v;
         void *mem = NULL;
         orl_adapt_result fit;
         double sun[3], other[3];
         if (!p->test) continue;
-        e = predict_view(s, &p->cam, &p->pose, 2, o->threads, &v, &mem);
-        if (!e) e = base_colour(d, p, &v, albedo, &pixels);
-        if (!e) e = relit_views(d, s, p, &v, R, &relit);
+        e = read_truth(d, p, "depth", "Y", &depth);
+        if (!e) e = read_truth(d, p, "albedo", "RGB", &colour);
+        if (!e) e = predict_view(s, &p->cam, &p->pose, 2, o->threads, &v, &mem);
+        if (!e) base_colour(&v, &depth, &colour, albedo, &pixels);
+        if (!e) e = relit_views(d, s, p, &v, R, &depth, &colour, &relit);
         if (!e && nsuns < MOST_SUNS && true_sun((char *)json, p, sun) && !(e = light_of_half(s, p, o, &fit))) {
             suns[nsuns] = sun_error(R, fit.code, sun);
             near[nsuns++] = nearest_sun(d, (char *)json, p, other) ? angle_deg(sun, other) : 180;
         }
         free(mem);
+        orl_imagef_free(&depth);
+        orl_imagef_free(&colour);
     }
     free(json);
     if (!e && !pixels) e = orl_fail(ORL_E_DEGENERATE, "%s: no test photo with true depth", d->dir);
