@@ -14,7 +14,7 @@
 #include "trainer/ranks.h"
 #include "trainer/grid.h"
 
-enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 2, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, PADDED = 64, MOST_POINTS = 6000000 };     /* MOST_POINTS: some for each cell of a surface are enough */
+enum { LEVELS = 3, COMPANIONS = 16, TRUSTED = 6, BEST = 2, GEOMETRIC = 2, FAR_TRIES = 2, RADIUS = 5, PADDED = 64, MOST_POINTS = 8000000 };     /* MOST_POINTS: some for each cell of a surface are enough */
 #define MOST_PIXELS ((size_t)32 << 20)  /* of all pictures at level 0, 46 bytes each: beyond, large photos are halved and a choice of them takes part */
 #define HALVE_PIXELS ((size_t)400000)
 #define COST_MAX 2.0f           /* 1 - correlation */
