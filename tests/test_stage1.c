@@ -117,7 +117,7 @@ static void steps_without_finite_gradients_are_dropped(void **state)
 {
     (void)state;
     const float at[3] = { 16, 18, 9 }, hostile[] = { NAN, INFINITY, -1e30f };
-    const stage2_options o2 = { 400, 4, 6, 7, 2 };
+    const stage2_options o2 = { 400, 4, 6, 7, 2, 0 };
     world w;
     stage1 s;
     stage1_losses l;

@@ -1,4 +1,4 @@
-/* Ground that one photo sees takes the colour of the ground that many see, and no shadow of its own; ground that many see keeps its own colour. */
+/* Ground that one photo sees takes the colour of the ground that many see, and no shadow of its own; ground that many see keeps its own colour. What a fit is told to leave out has no say. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -28,46 +28,97 @@ static void lay_ground(stage2 *s, int few)
     }
 }
 
+typedef struct { world w; stage1 s1; surface surf; stage2 s; } stages;
+
+static void start(stages *t, unsigned without)
+{
+    orl_light_model light;
+    make_world(&t->w);
+    orl_light_model_default(&light);
+    assert_int_equal(stage1_init(&t->s1, &t->w, &(stage1_options){ 64, 1, 7, 1, 0 }), ORL_OK);
+    assert_int_equal(stage1_start(&t->s1, &t->w, NULL), ORL_OK);
+    assert_int_equal(surface_build(&t->s1, &t->surf), ORL_OK);
+    assert_int_equal(surface_light(&t->surf, 1), ORL_OK);
+    if (without & WITHOUT_VISIBILITY) surface_uncover(&t->surf);
+    assert_int_equal(stage2_init(&t->s, &t->w, &t->surf, &t->s1, &light, &(stage2_options){ 2000, 20, 6, 7, 1, without }), ORL_OK);
+}
+
+static void end(stages *t)
+{
+    stage2_free(&t->s);
+    surface_free(&t->surf);
+    stage1_free(&t->s1);
+    world_free(&t->w);
+}
+
 static void few_photos_leave_no_stain(void **state)
 {
     (void)state;
     float off[2];
     for (int few = 0; few < 2; few++) {
-        world w;
-        stage1 s1;
-        surface surf;
-        stage2 s;
+        stages t;
         stage2_losses l;
-        orl_light_model light;
-        make_world(&w);
-        orl_light_model_default(&light);
-        assert_int_equal(stage1_init(&s1, &w, &(stage1_options){ 64, 1, 7, 1, 0 }), ORL_OK);
-        assert_int_equal(stage1_start(&s1, &w, NULL), ORL_OK);
-        assert_int_equal(surface_build(&s1, &surf), ORL_OK);
-        assert_int_equal(surface_light(&surf, 1), ORL_OK);
-        assert_int_equal(stage2_init(&s, &w, &surf, &s1, &light, &(stage2_options){ 2000, 20, 6, 7, 1 }), ORL_OK);
-        lay_ground(&s, few);
-        for (int i = 0; i < 20; i++) stage2_round(&s, &l);
-        float x[3] = { 0.9f * (float)surf.f.dims[0], 0.5f * (float)surf.f.dims[1], surf.f.ground[0] }, stain[3], grey[3];
-        stage2_albedo(&s, x, stain);
-        x[0] = 0.3f * (float)surf.f.dims[0];
-        stage2_albedo(&s, x, grey);
+        start(&t, 0);
+        lay_ground(&t.s, few);
+        for (int i = 0; i < 20; i++) stage2_round(&t.s, &l);
+        const frame *f = &t.surf.f;
+        float x[3] = { 0.9f * (float)f->dims[0], 0.5f * (float)f->dims[1], f->ground[0] }, stain[3], grey[3];
+        stage2_albedo(&t.s, x, stain);
+        x[0] = 0.3f * (float)f->dims[0];
+        stage2_albedo(&t.s, x, grey);
         off[few] = 0;
         for (int c = 0; c < 3; c++) {
-            assert_true(fabsf(grey[c] - s.common[c]) < 0.05f);
-            off[few] += fabsf(stain[c] - s.common[c]);
+            assert_true(fabsf(grey[c] - t.s.common[c]) < 0.05f);
+            off[few] += fabsf(stain[c] - t.s.common[c]);
         }
-        stage2_free(&s);
-        surface_free(&surf);
-        stage1_free(&s1);
-        world_free(&w);
+        end(&t);
     }
     assert_true(off[0] > 0.3f);
     assert_true(off[1] < 0.15f * off[0]);
 }
 
+/* Largest code of a kind over the photos. */
+static float most(const stage2 *s, int from, int to)
+{
+    float m = 0;
+    for (int k = 0; k < s->w->nphotos; k++) for (int i = from; i < to; i++) m = fmaxf(m, fabsf(s->codes[k][i]));
+    return m;
+}
+
+static void what_is_left_out_has_no_say(void **state)
+{
+    (void)state;
+    stages all, none;
+    stage2_losses l;
+    const unsigned without = WITHOUT_TONE | WITHOUT_SHADOW | LIGHT_PAPER | WITHOUT_SKY_PRIOR;
+    start(&all, 0);
+    start(&none, without);
+    for (int i = 0; i < 6; i++) { stage2_round(&all.s, &l); stage2_round(&none.s, &l); }
+    stage2_prior(&all.s);
+    stage2_prior(&none.s);
+    assert_true(most(&all.s, ORL_C_TONE, ORL_CODE) > 0.01f && most(&all.s, ORL_C_SHADOW, ORL_C_TONE) > 0.01f);
+    assert_true(most(&none.s, ORL_C_SHADOW, ORL_CODE) < 1e-4f);
+    assert_true(none.s.light.prior_prec[ORL_C_TONE][ORL_C_TONE] >= 1e8f && none.s.light.prior_prec[ORL_C_ENV][ORL_C_ENV] < 0.02f && all.s.light.prior_prec[ORL_C_ENV][ORL_C_ENV] > 0.02f);
+    assert_true(none.s.light.sky_std[0] == 0 && none.s.light.ground[0] == 0 && none.s.light.ground[1] == 0 && none.s.light.ground[2] == 0);
+    int hidden[2] = { 0 };
+    for (int a = 0; a < 2; a++) {
+        const stages *t = a ? &none : &all;
+        for (uint32_t i = 0; i < t->s.begin[t->w.nphotos]; i++) {
+            const stage2_pixel *q = &t->s.px[i];
+            if (q->surface != MET_SURFACE) continue;
+            int h = q->open < 255;
+            for (int k = 0; k < ORL_HORIZON; k++) h |= q->horizon[k] > 0;
+            hidden[a] += h;
+        }
+    }
+    assert_true(hidden[0] > 0);
+    assert_int_equal(hidden[1], 0);
+    end(&all);
+    end(&none);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(few_photos_leave_no_stain) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(few_photos_leave_no_stain), cmocka_unit_test(what_is_left_out_has_no_say) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -120,7 +120,7 @@ static int within(const checkpoint_header *h)
         { h->pixels, 1, 1 << 24 }, { h->rounds, 1, 100000 }, { h->threads, 1, GRID_THREADS }, { h->nphotos, 2, 1000000 }, { h->dropped, 0, INT32_MAX },
     };
     for (size_t i = 0; i < sizeof range / sizeof *range; i++) if (range[i].value < range[i].lo || range[i].value > range[i].hi) return 0;
-    if (h->logged < 0 || h->logged > LOG_ROWS) return 0;
+    if (h->logged < 0 || h->logged > LOG_ROWS || h->without >> WITHOUTS) return 0;
     for (int i = 0; i < h->logged; i++)
         for (size_t k = 0; k < sizeof(log_row) / sizeof(float); k++) if (!isfinite(((const float *)&h->log[i])[k])) return 0;
     return isfinite(h->seconds) && isfinite(h->cpu_seconds) && isfinite(h->samples);

@@ -24,7 +24,8 @@ typedef struct {
     double seconds, cpu_seconds, samples;   /* spent so far */
     int dropped;                    /* steps without finite gradients */
     uint32_t crc;                   /* of the whole file, this field 0 */
-    int32_t logged, unused;
+    int32_t logged;
+    uint32_t without;               /* stage2_options.without */
     log_row log[LOG_ROWS];          /* the first `logged` */
 } checkpoint_header;
 

@@ -40,6 +40,8 @@ static const char USAGE[] =
     "      --long-side N      pixels along a photo's longer side, 64 to 8192, instead of the preset's\n"
     "      --checkpoint-seconds S  between two checkpoints, default 30\n"
     "      --sky FILE         sky decoder made by `oriel-train sky` (default: the built-in one)\n"
+    "      --light NAME       oriel (default), or paper: one product of base colour, shadow and irradiance, with neither the surface's shadows nor the ground's light\n"
+    "      --without LIST     leave out, to see what it is worth: tone, shadow, visibility, ground, distill, sky-prior; commas between them\n"
     "      --method NAME      oriel (default), or nerfw: the NeRF-W baseline, for eval --nerfw; it does not resume\n"
     "      --encoding NAME    of --method nerfw: ours (default) or textbook\n"
     "      --snapshots LIST   of --method nerfw: minutes of training, as 1,2,4,8, at which FILE.1m, FILE.2m, ... are written\n"
@@ -161,6 +163,7 @@ static orl_err save_sometimes(run *r) { return now() - r->last_save >= r->o->che
 /* Stage 2 takes the pixels that it needs of the photos. */
 static orl_err begin_stage2(run *r)
 {
+    if (r->o2.without & WITHOUT_VISIBILITY) surface_uncover(&r->surf);
     orl_err e = stage2_init(&r->s2, &r->w, &r->surf, &r->s1, &r->light, &r->o2);
     world_forget(&r->w);
     malloc_trim(0);                             /* photos are too small for the C library to give back by itself */
@@ -306,7 +309,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
         r.before = head->seconds;
         r.before_cpu = head->cpu_seconds;
         if (head->phase < 2 && o->stage2) { fclose(ck); return orl_fail(ORL_E_FORMAT, "%s: stage 1 has not finished", o->ckpt); }
-        if (o->stage2) { head->pixels = o->head.pixels; head->rounds = o->head.rounds; while (head->logged && head->log[head->logged - 1].stage > 1) head->logged--; }
+        if (o->stage2) { head->pixels = o->head.pixels; head->rounds = o->head.rounds; head->without = o->head.without; while (head->logged && head->log[head->logged - 1].stage > 1) head->logged--; }
     }
     if ((e = world_load(d, head->long_side, head->longest, o->use_masks, head->threads, &r.w))) goto done;
     if (head->nphotos && head->nphotos != r.w.nphotos) { e = orl_fail(ORL_E_FORMAT, "%s: made from %d photos, %s has %d", o->ckpt, head->nphotos, d->dir, r.w.nphotos); goto done; }
@@ -317,7 +320,7 @@ static orl_err fit(const fit_options *o, const orl_dataset *d)
     tell("%s: %d photos, %u points, box %d x %d x %d cells of %.4g, %.1f s\n", d->name, r.w.nphotos, r.w.npoints, r.w.frame.dims[0], r.w.frame.dims[1], r.w.frame.dims[2],
             1 / r.w.frame.scale, now() - r.start);
     stage1_options o1 = { head->rays, head->steps, head->seed, head->threads, 0 };
-    r.o2 = (stage2_options){ head->pixels, head->rounds, ROUND_STEPS, head->seed, head->threads };
+    r.o2 = (stage2_options){ head->pixels, head->rounds, ROUND_STEPS, head->seed, head->threads, head->without };
     if ((e = stage1_init(&r.s1, &r.w, &o1))) goto done;
     if (o->sky) { if ((e = orl_sky_load(o->sky, &r.light))) goto done; }
     else orl_light_model_default(&r.light);
@@ -438,6 +441,19 @@ static int minutes(const char *text, double out[16])
     return 0;
 }
 
+/* Names between commas, as bits. */
+static int left_out(const char *text, unsigned *without)
+{
+    for (size_t n; *text; text += n + (text[n] == ',')) {
+        int k = 0;
+        n = strcspn(text, ",");
+        while (k < WITHOUTS && (strlen(WITHOUT_NAME[k]) != n || strncmp(WITHOUT_NAME[k], text, n))) k++;
+        if (k == WITHOUTS) return 0;
+        *without |= 1u << k;
+    }
+    return *without != 0;
+}
+
 /* Whether files can be made beside the output: said before the work is done, not after. */
 static orl_err check_folder(const char *output)
 {
@@ -450,16 +466,17 @@ static orl_err check_folder(const char *output)
 
 int cmd_fit(int argc, char **argv)
 {
-    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, METHOD, ENCODING, SNAPSHOTS, REFINE, SEED, THREADS, JSON };
+    enum { PRESET = 256, RESUME, STAGE2, BUDGET, STEPS, ROUNDS, CELLS, LONG_SIDE, CHECKPOINT, SKY, NO_MASKS, LIGHT, WITHOUT, METHOD, ENCODING, SNAPSHOTS, REFINE, SEED, THREADS, JSON };
     static const struct option LONG[] = {
         { "output", 1, 0, 'o' }, { "preset", 1, 0, PRESET }, { "resume", 0, 0, RESUME }, { "stage2", 0, 0, STAGE2 }, { "time-budget", 1, 0, BUDGET }, { "steps", 1, 0, STEPS }, { "rounds", 1, 0, ROUNDS },
-        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "method", 1, 0, METHOD }, { "encoding", 1, 0, ENCODING }, { "snapshots", 1, 0, SNAPSHOTS },
+        { "cells", 1, 0, CELLS }, { "long-side", 1, 0, LONG_SIDE }, { "checkpoint-seconds", 1, 0, CHECKPOINT }, { "sky", 1, 0, SKY }, { "no-masks", 0, 0, NO_MASKS }, { "light", 1, 0, LIGHT }, { "without", 1, 0, WITHOUT }, { "method", 1, 0, METHOD }, { "encoding", 1, 0, ENCODING }, { "snapshots", 1, 0, SNAPSHOTS },
         { "refine-poses", 1, 0, REFINE }, { "seed", 1, 0, SEED }, { "threads", 1, 0, THREADS }, { "json", 0, 0, JSON }, { "help", 0, 0, 'h' }, { 0 },
     };
     fit_options o = { .use_masks = 1, .checkpoint_seconds = 30 };
     const preset *p = &PRESETS[2];
     int c, ok = 1, steps = 0, rounds = 0, cells = 0, long_side = 0, threads = 0;
     double seed = 1;
+    unsigned without = 0;
     for (int which = 0; (c = getopt_long(argc, argv, "o:h", LONG, &which)) != -1;) {
         range[0] = 0;
         switch (c) {
@@ -469,6 +486,11 @@ int cmd_fit(int argc, char **argv)
             for (size_t i = 0; i < sizeof PRESETS / sizeof *PRESETS; i++) if (!strcmp(PRESETS[i].name, optarg)) p = &PRESETS[i];
             if (!p) { fprintf(stderr, "oriel-train fit: --preset %s: demo, quick, standard or full\n", optarg); return 2; }
             break;
+        case LIGHT:
+            ok = !strcmp(optarg, "paper") || !strcmp(optarg, "oriel");
+            if (optarg[0] == 'p') without |= LIGHT_PAPER;
+            break;
+        case WITHOUT: ok = left_out(optarg, &without); break;
         case METHOD: ok = (o.nerfw = !strcmp(optarg, "nerfw")) || !strcmp(optarg, "oriel"); break;
         case ENCODING:
             ok = 0;
@@ -496,9 +518,10 @@ int cmd_fit(int argc, char **argv)
     }
     if (optind + 1 != argc || !o.output[0]) { fputs(USAGE, stderr); return 2; }
     if (o.nerfw && (o.resume || o.stage2)) { fprintf(stderr, "oriel-train fit: --method nerfw neither resumes nor has a stage 2\n"); return 2; }
+    if (o.nerfw && without) { fprintf(stderr, "oriel-train fit: --light and --without go with --method oriel\n"); return 2; }
     if (!o.nerfw && (o.encoding || o.snapshot[0] > 0)) { fprintf(stderr, "oriel-train fit: --encoding and --snapshots go with --method nerfw\n"); return 2; }
     snprintf(o.ckpt, sizeof o.ckpt, "%s.ckpt", o.output);
-    o.head = (checkpoint_header){ .long_side = long_side ? long_side : p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .seed = (uint64_t)seed };
+    o.head = (checkpoint_header){ .long_side = long_side ? long_side : p->long_side, .longest = cells ? cells : p->longest, .rays = p->rays, .steps = steps ? steps : p->steps, .pixels = p->pixels, .rounds = rounds ? rounds : p->rounds, .seed = (uint64_t)seed, .without = without };
     ranks_start();
     if (!threads) threads = orl_cores() / ranks_here() > 1 ? orl_cores() / ranks_here() : 1;
     o.head.threads = threads < GRID_THREADS ? threads : GRID_THREADS;

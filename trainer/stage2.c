@@ -17,6 +17,8 @@ enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, LEAST_SKY =
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
 #define PULL 4.0f               /* over the square of the photos that see it */
 
+const char *const WITHOUT_NAME[WITHOUTS] = { "tone", "shadow", "visibility", "ground", "distill", "sky-prior" };
+
 static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, uint32_t *count)
 {
     const world_photo *p = &s->w->photos[k];
@@ -33,7 +35,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         if (sky ? met == MET_SURFACE || sky_left == 0 : met == MET_NOTHING) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
-        float at = stage1_transient(s1, k, x + 0.5f, y + 0.5f);
+        float at = s->opt.without & WITHOUT_DISTILL ? 0 : stage1_transient(s1, k, x + 0.5f, y + 0.5f);
         world_rgb(p, x, y, q->rgb);
         if (sky) {
             if (at > 0.5f) continue;
@@ -56,7 +58,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         float teacher[3], diff = 0;
         stage1_colour(s1, k, h.x, teacher);
         for (int a = 0; a < 3; a++) diff += fabsf(teacher[a] - q->rgb[a] / 255.0f);
-        if (at > 0.5f || diff > 0.6f) {
+        if ((at > 0.5f || diff > 0.6f) && !(s->opt.without & WITHOUT_DISTILL)) {
             for (int a = 0; a < 3; a++) q->rgb[a] = (uint8_t)(teacher[a] * 255.0f + 0.5f);
             q->weight = 64;
         }
@@ -216,6 +218,22 @@ static void sky_generator_start(orl_light_model *m)
     }
 }
 
+/* Holds the codes of what is left out at zero, and takes the prior of sun and sky away, wherever codes are found: the scene file has only this prior. */
+static void leave_out(stage2 *s)
+{
+    unsigned w = s->opt.without;
+    orl_light_model *m = &s->light;
+    for (int k = 0; k < ORL_CODE; k++) {
+        int tone = k >= ORL_C_TONE, shadow = k >= ORL_C_SHADOW && !tone, gone = tone ? w & WITHOUT_TONE : shadow ? w & WITHOUT_SHADOW : 0, free = !tone && !shadow && w & WITHOUT_SKY_PRIOR;
+        if (!gone && !free) continue;
+        for (int i = 0; i < ORL_CODE; i++) m->prior_prec[k][i] = m->prior_prec[i][k] = 0;
+        m->prior_prec[k][k] = gone ? 1e8f : 1e-2f;
+        if (gone) m->prior_mean[k] = 0;
+    }
+    if (w & WITHOUT_SKY_PRIOR) memset(m->sky_std, 0, sizeof m->sky_std);
+    if (w & WITHOUT_GROUND) memset(m->ground, 0, sizeof m->ground);
+}
+
 orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1 *s1, const orl_light_model *light, const stage2_options *opt)
 {
     memset(s, 0, sizeof *s);
@@ -254,6 +272,7 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
     if (fit) s->px = fit;
     if ((e = count_views(s))) { stage2_free(s); return e; }
     find_skies(s);
+    leave_out(s);
     rng r = rng_make(opt->seed, 0x54ad, 0), turn = rng_make(opt->seed, 0x04de, 0);
     for (int k = 0; k < w->nphotos; k++) {
         int at = w->nphotos > STAGE2_VISITS ? (int)rng_below(&turn, (uint32_t)k + 1) : k;
@@ -529,7 +548,7 @@ void stage2_round(stage2 *s, stage2_losses *out)
             v[i] = 0.99f * v[i] + 0.01f * g * g;
             float up = decay * 0.004f * m[i] / (sqrtf(v[i]) + 1e-9f);
             if (i < SHARED - 3) sky[i] -= up;
-            else {
+            else if (!(s->opt.without & WITHOUT_GROUND)) {
                 float *gr = &s->light.ground[i - (SHARED - 3)];
                 *gr = fminf(fmaxf(*gr - up, 0.02f), 0.9f);
             }
@@ -598,6 +617,7 @@ void stage2_prior(stage2 *s)
     for (int i = 0; i < ORL_CODE; i++)
         for (int j = 0; j < ORL_CODE; j++) s->light.prior_prec[i][j] = (float)(0.5 * (cov[i][j] + cov[j][i]));
     s->light.prior_prec[ORL_C_SUN_AZ][ORL_C_SUN_AZ] = 1e-4f;
+    leave_out(s);
 }
 
 orl_err stage2_save(const stage2 *s, FILE *f, int moments)

@@ -15,7 +15,13 @@ typedef struct {
     uint8_t few;                    /* ground that few photos see: how many; else 0 */
 } stage2_pixel;
 
-typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; } stage2_options;   /* pixels per photo (fewer where many photos would make too many in all); steps per round */
+/* Components that can be left out, to see what each is worth: bits of stage2_options.without. VISIBILITY is the surface's (surface_uncover). */
+enum { WITHOUT_TONE = 1, WITHOUT_SHADOW = 2, WITHOUT_VISIBILITY = 4, WITHOUT_GROUND = 8, WITHOUT_DISTILL = 16, WITHOUT_SKY_PRIOR = 32, WITHOUTS = 6 };
+extern const char *const WITHOUT_NAME[WITHOUTS];        /* of each bit in turn */
+#define LIGHT_PAPER (WITHOUT_VISIBILITY | WITHOUT_GROUND)       /* the paper's single product a s E(n) */
+
+/* pixels per photo (fewer where many photos would make too many in all); steps per round */
+typedef struct { int pixels, rounds, steps; uint64_t seed; int threads; unsigned without; } stage2_options;
 typedef struct { double mse, shadow, adapt_rms; int degenerate, dropped; } stage2_losses;        /* dropped: steps whose loss or gradient was no number; they moved nothing */
 
 typedef struct {

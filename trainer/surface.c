@@ -351,6 +351,16 @@ orl_err surface_light(surface *s, int threads)
     return ORL_OK;
 }
 
+void surface_uncover(surface *s)
+{
+    for (size_t i = 0; i < s->lite.nverts; i++) {
+        if (!s->lite.live[i / GRID_TILE]) continue;
+        float *o = s->lite.p + i * 24;
+        o[0] = 1;
+        memset(o + 1, 0, ORL_HORIZON * sizeof *o);
+    }
+}
+
 orl_err surface_save(const surface *s, FILE *f)
 {
     int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)

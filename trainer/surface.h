@@ -25,6 +25,8 @@ orl_err surface_carve(surface *s, const world *w, int threads);
 orl_err surface_prune(surface *s, const world *w, int threads);
 /* Openness and horizons on the light vertices of every brick, traced on the surface itself. */
 orl_err surface_light(surface *s, int threads);
+/* As if nothing hid sky or sun: openness 1, horizons 0. */
+void surface_uncover(surface *s);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);

@@ -111,6 +111,11 @@ json "$W/fit.json" seconds scene_bytes
 same ref killed || fail "--resume of a finished run: other bytes"
 fit again --stage2 >/dev/null 2>"$W/err" || fail "fit --stage2: $(tail -3 "$W/err")"
 same ref again || fail "--stage2: other bytes than the run whose geometry it takes"
+fit again --stage2 --light paper --without tone,sky-prior >/dev/null 2>"$W/err" || fail "fit --light paper: $(tail -3 "$W/err")"
+same ref again && fail "--light paper --without tone changes nothing"
+fit again --stage2 >/dev/null 2>"$W/err" && same ref again || fail "--stage2 after --light paper: other bytes than the first run: $(tail -3 "$W/err")"
+expect 2 '--without: tone,sun is out of range' "$T" fit "$place" -o "$W/bad.oriel" $size --without tone,sun
+expect 2 '--light: papers is out of range' "$T" fit "$place" -o "$W/bad.oriel" $size --light papers
 
 # bad checkpoints: one line that names the file, no scene
 resume() { # PATTERN SCENE [OPTION]...
