@@ -32,6 +32,16 @@ orl_err orl_file_write(const char *path, const void *bytes, size_t n)
     return orl_fail(ORL_E_IO, "%s: %s", path, strerror(bad));
 }
 
+orl_err orl_file_replace(const char *tmp, const char *path)
+{
+    int fd = open(tmp, O_RDWR | O_CLOEXEC), bad = fd < 0 || fsync(fd) ? errno : 0;
+    if (fd >= 0 && close(fd) && !bad) bad = errno;
+    if (!bad && rename(tmp, path)) bad = errno;
+    if (!bad) return ORL_OK;
+    unlink(tmp);
+    return orl_fail(ORL_E_IO, "%s: %s", path, strerror(bad));
+}
+
 orl_err orl_file_read(const char *path, size_t max, uint8_t **bytes, size_t *n)
 {
     struct stat st;

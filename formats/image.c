@@ -6,7 +6,7 @@
 
 static orl_err check(int w, int h, int c)
 {
-    if (w < 1 || h < 1 || w > ORL_IMAGE_MAX_SIDE || h > ORL_IMAGE_MAX_SIDE || c < 1 || c > 16) return orl_fail(ORL_E_RANGE, "image size %d x %d x %d", w, h, c);
+    if (w < 1 || h < 1 || w > ORL_IMAGE_MAX_SIDE || h > ORL_IMAGE_MAX_SIDE || c < 1 || c > ORL_IMAGEF_MAX_CHANNELS) return orl_fail(ORL_E_RANGE, "image size %d x %d x %d", w, h, c);
     return ORL_OK;
 }
 

@@ -1,4 +1,4 @@
-/* OpenEXR through its C core API: scan lines, linear float in memory, half in files. */
+/* OpenEXR through its C core API: scan lines, linear float in memory, half or float in files. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -6,7 +6,6 @@
 #include <unistd.h>
 #include "oriel/image.h"
 #ifdef ORL_HAVE_EXR
-#include <fcntl.h>
 #include <openexr.h>
 
 static void quiet(exr_const_context_t c, exr_result_t code, const char *msg) { (void)c; (void)code; (void)msg; }
@@ -122,21 +121,21 @@ orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
 typedef struct { char name[64]; int at; } channel;
 static int by_channel(const void *a, const void *b) { return strcmp(((const channel *)a)->name, ((const channel *)b)->name); }
 
-orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
+static orl_err write_as(const char *path, const orl_imagef *im, const char *names, exr_pixel_type_t type)
 {
     char tmp[4200];
-    channel ch[16];
-    int c = 0;
-    for (const char *p = names; c < 16; c++) {
+    channel ch[ORL_IMAGEF_MAX_CHANNELS];
+    int c = 0, more = 1;
+    for (const char *p = names; more && c < ORL_IMAGEF_MAX_CHANNELS; c++) {
         size_t n = strcspn(p, ",");
         if (n == 0 || n >= sizeof ch[c].name) return orl_fail(ORL_E_RANGE, "%s: channel names %s", path, names);
         memcpy(ch[c].name, p, n);
         ch[c].name[n] = 0;
         ch[c].at = c;
         p += n;
-        if (!*p++) { c++; break; }
+        more = *p++ == ',';
     }
-    if (c != im->c) return orl_fail(ORL_E_RANGE, "%s: %d channel names for %d channels", path, c, im->c);
+    if (more || c != im->c) return orl_fail(ORL_E_RANGE, "%s: %d%s channel names for %d channels", path, c, more ? " and more" : "", im->c);
     qsort(ch, (size_t)c, sizeof *ch, by_channel);   /* files list channels by name */
     if (snprintf(tmp, sizeof tmp, "%s.tmp%ld", path, (long)getpid()) >= (int)sizeof tmp) return orl_fail(ORL_E_RANGE, "%s: path is too long", path);
     exr_context_t f = NULL;
@@ -145,7 +144,7 @@ orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
     int part = 0, bad = exr_start_write(&f, tmp, EXR_WRITE_FILE_DIRECTLY, &init) != EXR_ERR_SUCCESS;
     if (bad) return orl_fail(ORL_E_IO, "%s: cannot be written", path);
     bad = exr_add_part(f, "rgb", EXR_STORAGE_SCANLINE, &part) != EXR_ERR_SUCCESS || exr_initialize_required_attr_simple(f, part, im->w, im->h, EXR_COMPRESSION_ZIP) != EXR_ERR_SUCCESS;
-    for (int k = 0; !bad && k < c; k++) bad = exr_add_channel(f, part, ch[k].name, EXR_PIXEL_HALF, EXR_PERCEPTUALLY_LINEAR, 1, 1) != EXR_ERR_SUCCESS;
+    for (int k = 0; !bad && k < c; k++) bad = exr_add_channel(f, part, ch[k].name, type, EXR_PERCEPTUALLY_LINEAR, 1, 1) != EXR_ERR_SUCCESS;
     int32_t lines = 1;
     bad = bad || exr_write_header(f) != EXR_ERR_SUCCESS || exr_get_scanlines_per_chunk(f, part, &lines) != EXR_ERR_SUCCESS;
     exr_encode_pipeline_t e = EXR_ENCODE_PIPELINE_INITIALIZER;
@@ -167,13 +166,13 @@ orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
     }
     if (ready) exr_encoding_destroy(f, &e);
     bad = exr_finish(&f) != EXR_ERR_SUCCESS || bad;
-    int fd = bad ? -1 : open(tmp, O_RDWR);
-    bad = bad || fd < 0 || fsync(fd);
-    if (fd >= 0) close(fd);
-    if (!bad && !rename(tmp, path)) return ORL_OK;
+    if (!bad) return orl_file_replace(tmp, path);
     unlink(tmp);
     return orl_fail(ORL_E_IO, "%s: cannot be written", path);
 }
+
+orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names) { return write_as(path, im, names, EXR_PIXEL_HALF); }
+orl_err orl_exr_write_float(const char *path, const orl_imagef *im, const char *names) { return write_as(path, im, names, EXR_PIXEL_FLOAT); }
 #else
 orl_err orl_exr_read(const char *path, const char *names, orl_imagef *out)
 {
@@ -185,4 +184,5 @@ orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names)
     (void)im; (void)names;
     return orl_fail(ORL_E_UNSUPPORTED, "%s: this build has no OpenEXR", path);
 }
+orl_err orl_exr_write_float(const char *path, const orl_imagef *im, const char *names) { return orl_exr_write(path, im, names); }
 #endif

@@ -406,6 +406,30 @@ static void exr_values(void **state)
     orl_imagef_free(&w);
 }
 
+/* 32 bits keep every bit, for as many channels as an image may have. */
+static void exr_float(void **state)
+{
+    (void)state;
+    NEEDS("exr");
+    orl_imagef w, r;
+    char names[200] = "";
+    seed_print();
+    for (int k = 0; k < ORL_IMAGEF_MAX_CHANNELS; k++) sprintf(names + strlen(names), "%slayer.%c", k ? "," : "", 'x' - k);
+    ok(orl_imagef_alloc(&w, 21, 19, ORL_IMAGEF_MAX_CHANNELS));
+    int n = w.w * w.h * w.c;
+    for (int i = 0; i < n; i++) w.px[i] = (float)uniform(-1, 1) * (i % 7 ? 1.0f : 1e30f);
+    ok(orl_exr_write_float(at("a.exr"), &w, names));
+    ok(orl_exr_read(at("a.exr"), names, &r));
+    assert_memory_equal(w.px, r.px, (size_t)n * sizeof *w.px);
+    failed(orl_exr_write_float(at("b.exr"), &w, "R,G,B"), ORL_E_RANGE, at("b.exr"), NULL);
+    strcat(names, ",y");
+    failed(orl_exr_write_float(at("b.exr"), &w, names), ORL_E_RANGE, at("b.exr"), NULL);
+    failed(orl_exr_write_float(at("none/b.exr"), &w, names), ORL_E_RANGE, at("none/b.exr"), NULL);
+    assert_int_equal(entries(scratch), 1);
+    orl_imagef_free(&r);
+    orl_imagef_free(&w);
+}
+
 /* A file as another program may write it, by https://openexr.com/en/latest/OpenEXRFileLayout.html: no compression, a window that does not begin at 0, half, float, whole numbers. */
 static void exr_of_others(void **state)
 {
@@ -684,7 +708,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         TEST(allocates), TEST(conversions), TEST(long_side), TEST(area_resize), TEST(whole_factors), TEST(formats_listed), TEST(png_there_and_back), TEST(jpeg_there_and_back),
-        TEST(exif_orientation), TEST(exr_there_and_back), TEST(exr_values), TEST(exr_of_others), TEST(cut_short), TEST(noise), TEST(flipped), TEST(file_read), TEST(file_write), TEST(failing_writes),
+        TEST(exif_orientation), TEST(exr_there_and_back), TEST(exr_values), TEST(exr_of_others), TEST(exr_float), TEST(cut_short), TEST(noise), TEST(flipped), TEST(file_read), TEST(file_write), TEST(failing_writes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

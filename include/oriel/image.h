@@ -9,6 +9,7 @@ typedef struct { int w, h, c; uint8_t *px; } orl_image;    /* c = 1, 3 or 4; dis
 typedef struct { int w, h, c; float *px; } orl_imagef;     /* stated by the user: linear or sRGB in [0,1] */
 
 #define ORL_IMAGE_MAX_SIDE 65535
+#define ORL_IMAGEF_MAX_CHANNELS 24
 
 orl_err orl_image_alloc(orl_image *out, int w, int h, int c);      /* zeroed; ORL_E_RANGE on bad size */
 orl_err orl_imagef_alloc(orl_imagef *out, int w, int h, int c);
@@ -29,13 +30,16 @@ orl_err orl_image_read(const char *path, int want_c, orl_image *out);
 orl_err orl_image_write(const char *path, const orl_image *im);
 /* OpenEXR through its C core API (scan lines, half or float, any channel order). channels: e.g. "RGB", "Y"; missing channel -> ORL_E_FORMAT. Linear values, NaN/inf -> 0 / 65504. */
 orl_err orl_exr_read(const char *path, const char *channels, orl_imagef *out);
-/* names: c comma-separated channel names, e.g. "R,G,B" or "albedo.R,albedo.G,albedo.B,Z". Half float, ZIP. */
+/* names: c comma-separated channel names, e.g. "R,G,B" or "albedo.R,albedo.G,albedo.B,Z". Half float, ZIP; the other one 32-bit float. */
 orl_err orl_exr_write(const char *path, const orl_imagef *im, const char *names);
+orl_err orl_exr_write_float(const char *path, const orl_imagef *im, const char *names);
 /* Comma-separated list of what this build reads and writes, e.g. "png,jpeg,exr". */
 const char *orl_image_formats(void);
 
 /* Atomic file: bytes to path.tmp<pid>, fsync, rename. */
 orl_err orl_file_write(const char *path, const void *bytes, size_t n);
+/* The last half of that for a file written to tmp by other means: fsync, rename; tmp is gone in any case. */
+orl_err orl_file_replace(const char *tmp, const char *path);
 /* Whole file into malloc'd memory, with a 0 behind its n bytes; ORL_E_RANGE above max bytes. */
 orl_err orl_file_read(const char *path, size_t max, uint8_t **bytes, size_t *n);
 /* CRC-32 (that of zlib and PNG) of n bytes, going on from crc; 0 to begin with. */
