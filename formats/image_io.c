@@ -33,6 +33,19 @@ orl_err orl_image_read(const char *path, int want_c, orl_image *out)
     return e;
 }
 
+orl_err orl_imagef_read(const char *path, orl_imagef *out)
+{
+    uint8_t *bytes;
+    size_t n;
+    if (is(path, ".exr")) return orl_exr_read(path, "RGB", out);
+    orl_err e = orl_file_read(path, MAX_BYTES, &bytes, &n);
+    if (e) return e;
+    if (n >= 2 && !memcmp(bytes, "#?", 2)) e = codec_hdr_read(path, bytes, n, out);
+    else e = orl_fail(ORL_E_FORMAT, "%s: neither OpenEXR (.exr) nor Radiance (#?)", path);
+    free(bytes);
+    return e;
+}
+
 orl_err orl_image_write(const char *path, const orl_image *im)
 {
 #ifdef ORL_HAVE_PNG

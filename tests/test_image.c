@@ -1,10 +1,11 @@
-/* Images: PNG, JPEG and EXR there and back, EXIF orientation, area-averaged resize, conversions, sizes; files cut short or full of noise; whole files in and atomic files
+/* Images: PNG, JPEG, EXR and Radiance there and back, EXIF orientation, area-averaged resize, conversions, sizes; files cut short or full of noise; whole files in and atomic files
  * out, where a write that fails leaves nothing behind. */
 #include "tests/scratch.h"
 #include <fcntl.h>
 #include <math.h>
 #include <signal.h>
 #include <sys/resource.h>
+#include "oriel/dataset.h"
 #include "oriel/image.h"
 
 static int has(const char *format) { return strstr(orl_image_formats(), format) != NULL; }
@@ -485,13 +486,164 @@ static void exr_of_others(void **state)
     }
 }
 
+/* ---- Radiance ---- */
+
+enum { FLAT, OLD_RUNS, NEW_RUNS };
+#define HDR_HEAD "#?RADIANCE\n# made by a test\nEXPOSURE=4\nFORMAT=32-bit_rle_rgbe\n\n"
+
+static uint8_t *put_repeat(uint8_t *o, int n)       /* old runs: the digits of n to base 256, lowest first */
+{
+    for (; n; n >>= 8) { memcpy(o, "\1\1\1", 3); o[3] = (uint8_t)n; o += 4; }
+    return o;
+}
+
+static uint8_t *put_line(const uint8_t (*px)[4], int w, int how, uint8_t *o)
+{
+    if (how == NEW_RUNS) { *o++ = 2; *o++ = 2; *o++ = (uint8_t)(w >> 8); *o++ = (uint8_t)w; }
+    for (int c = 0; how == NEW_RUNS && c < 4; c++)
+        for (int x = 0, n; x < w; x += n) {
+            for (n = 1; x + n < w && n < 127 && px[x + n][c] == px[x][c]; n++) {}
+            if (n > 2 || (n == 2 && rnd() % 2)) { *o++ = (uint8_t)(128 + n); *o++ = px[x][c]; continue; }
+            n = 1 + (int)(rnd() % 128);             /* as others may write it: literal, whatever follows */
+            if (n > w - x) n = w - x;
+            *o++ = (uint8_t)n;
+            for (int k = 0; k < n; k++) *o++ = px[x + k][c];
+        }
+    for (int x = 0, n; how != NEW_RUNS && x < w; x += n) {
+        for (n = 1; how == OLD_RUNS && x + n < w && !memcmp(px[x + n], px[x], 4); n++) {}
+        memcpy(o, px[x], 4);
+        o = n > 1 ? put_repeat(o + 4, n - 1) : o + 4;
+    }
+    return o;
+}
+
+/* A picture of noise and of runs up to a line; px is what it holds. Returns the file's bytes. */
+static uint8_t *make_hdr(int w, int h, int how, uint8_t (*px)[4], size_t *n)
+{
+    uint8_t *b = malloc(200 + (size_t)w * (size_t)h * 9 + 8 * (size_t)h), *o = b + sprintf((char *)b, HDR_HEAD "-Y %d +X %d\n", h, w);
+    for (int y = 0; y < h; y++) {
+        uint8_t (*row)[4] = px + (size_t)y * (size_t)w;
+        for (int x = 0; x < w; x++) {
+            if (x && rnd() % 8) memcpy(row[x], row[x - 1], 4);
+            else for (int c = 0; c < 4; c++) row[x][c] = (uint8_t)(c == 0 ? 128 | rnd() : c == 3 && rnd() % 4 == 0 ? 0 : rnd());
+            if (y == h - 1) memcpy(row[x], row[0], 4);
+        }
+        o = put_line((const uint8_t (*)[4])row, w, how, o);
+    }
+    *n = (size_t)(o - b);
+    return b;
+}
+
+static void hdr_there_and_back(void **state)
+{
+    (void)state;
+    static const int SIZE[][2] = { { 1, 1 }, { 1, 9 }, { 7, 3 }, { 8, 1 }, { 9, 5 }, { 128, 4 }, { 129, 3 }, { 300, 7 }, { 1000, 6 }, { 33000, 2 } };
+    static uint8_t px[70000][4];
+    seed_print();
+    for (size_t k = 0; k < sizeof SIZE / sizeof *SIZE; k++)
+        for (int how = FLAT; how <= NEW_RUNS; how++) {
+            int w = SIZE[k][0], h = SIZE[k][1];
+            orl_imagef r, o;
+            size_t n;
+            char path[100];
+            if (how == NEW_RUNS && (w < 8 || w > 32767)) continue;
+            uint8_t *b = make_hdr(w, h, how, px, &n);
+            snprintf(path, sizeof path, "%s", at("%d_%d_%d.hdr", w, h, how));        /* OpenImageIO remembers a name's size */
+            put_bytes(path, b, n);
+            ok(orl_imagef_read(path, &r));
+            assert_true(r.w == w && r.h == h && r.c == 3);
+            for (int i = 0; i < w * h; i++)
+                for (int c = 0; c < 3; c++) {
+                    float want = px[i][3] ? (float)ldexp(px[i][c], px[i][3] - 136) : 0;
+                    if (r.px[3 * i + c] != want) fail_msg("%d x %d, kind %d: pixel %d, channel %d is %g, not %g", w, h, how, i, c, (double)r.px[3 * i + c], (double)want);
+                }
+            if (how != OLD_RUNS && w < 32768) {     /* the trainer's reader knows no old runs */
+                ok(orl_oiio_read_float(path, &o));
+                assert_true(o.w == w && o.h == h);
+                for (int i = 0; i < w * h * 3; i++) assert_true(fabsf(o.px[i] - r.px[i]) <= 1e-6f * r.px[i]);       /* its powers of two are not quite exact far from 1 */
+                orl_imagef_free(&o);
+            }
+            orl_imagef_free(&r);
+            free(b);
+        }
+}
+
+/* Real panoramas, as the trainer reads them. */
+static void hdr_of_others(void **state)
+{
+    (void)state;
+    static const char *const NAME[] = { "noon_grass_1k", "venice_sunset_1k", "dikhololo_night_1k" };
+    int seen = 0;
+    for (int k = 0; k < 3; k++) {
+        char path[200];
+        orl_imagef a, b;
+        snprintf(path, sizeof path, "../shared/data/sky/%s.hdr", NAME[k]);
+        if (access(path, R_OK)) continue;
+        ok(orl_imagef_read(path, &a));
+        ok(orl_oiio_read_float(path, &b));
+        assert_true(a.w == b.w && a.h == b.h && a.c == b.c);
+        assert_memory_equal(a.px, b.px, (size_t)a.w * (size_t)a.h * 12);
+        orl_imagef_free(&a);
+        orl_imagef_free(&b);
+        seen++;
+    }
+    if (!seen) { print_message("no ../shared/data/sky\n"); skip(); }
+}
+
+/* Headers and scan lines that lie, each named by file and field. */
+static void hdr_lies(void **state)
+{
+    (void)state;
+#define F "FORMAT=32-bit_rle_rgbe\n"
+#define DATA "abcdabcdabcdabcd"
+    static const struct { const char *text; orl_err want; const char *field; } CASE[] = {
+        { "RADIANCE\n" F "\n-Y 1 +X 1\n" DATA, ORL_E_FORMAT, "neither" }, { "#?RADIANCE", ORL_E_FORMAT, "not a Radiance picture" }, { "#?RADIANCE\n" F, ORL_E_FORMAT, "header has no end" },
+        { "#?RADIANCE\n\n-Y 1 +X 1\n" DATA, ORL_E_FORMAT, "no FORMAT" }, { "#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n" DATA, ORL_E_UNSUPPORTED, "FORMAT 32-bit_rle_xyze" },
+        { "#?RADIANCE\n" F "\n", ORL_E_FORMAT, "no size" }, { "#?RADIANCE\n" F "\n-Y 1 +X 1", ORL_E_FORMAT, "no size" }, { "#?RADIANCE\n" F "\n+Y 1 +X 1\n" DATA, ORL_E_UNSUPPORTED, "orientation +Y 1 +X 1" },
+        { "#?RADIANCE\n" F "\n+X 1 -Y 1\n" DATA, ORL_E_UNSUPPORTED, "orientation" }, { "#?RADIANCE\n" F "\n-Y 1 -X 1\n" DATA, ORL_E_UNSUPPORTED, "orientation" },
+        { "#?RADIANCE\n" F "\n-Y 1 +X\n" DATA, ORL_E_FORMAT, "size" }, { "#?RADIANCE\n" F "\n-Y 1 +X 1 1\n" DATA, ORL_E_FORMAT, "size" }, { "#?RADIANCE\n" F "\n-Y 0x9 +X 1\n" DATA, ORL_E_FORMAT, "size" },
+        { "#?RADIANCE\n" F "\n-Y 0 +X 1\n" DATA, ORL_E_RANGE, "size 1 x 0" }, { "#?RADIANCE\n" F "\n-Y 1 +X -1\n" DATA, ORL_E_RANGE, "size -1 x 1" }, { "#?RADIANCE\n" F "\n-Y 65536 +X 1\n" DATA, ORL_E_RANGE, "size 1 x 65536" },
+        { "#?RADIANCE\n" F "\n-Y 65535 +X 65535\n" DATA, ORL_E_RANGE, "size 65535 x 65535" }, { "#?RADIANCE\n" F "\n-Y 99999999999999999999 +X 8\n" DATA, ORL_E_FORMAT, "size" },
+        { "#?RADIANCE\n" F "\n-Y 16000 +X 16000\n" DATA, ORL_E_FORMAT, "size 16000 x 16000" }, { "#?RADIANCE\n" F "\n-Y 3 +X 2\n" DATA, ORL_E_FORMAT, "16 bytes" }, { "#?RADIANCE\n" F "\n-Y 1 +X 5\n" DATA, ORL_E_FORMAT, "scan line 0" },
+        { "#?RADIANCE\n" F "\n-Y 1 +X 8\n\2\2\1\1" DATA, ORL_E_FORMAT, "scan line 0" }, { "#?RADIANCE\n" F "\n-Y 1 +X 2\n\1\1\1\2" DATA, ORL_E_FORMAT, "scan line 0" },
+        { "#?RADIANCE\n" F "\n-Y 1 +X 8\nabcd\1\1\1\10" DATA, ORL_E_FORMAT, "scan line 0" }, { "#?RADIANCE\n" F "\n-Y 1 +X 9\nabcd\1\1\1\377\1\1\1\377\1\1\1\377\1\1\1\377" DATA, ORL_E_FORMAT, "scan line 0" },
+        { "#?RADIANCE\n" F "\n-Y 1 +X 300\n\2\2\1\54\377a\377a\377a" DATA, ORL_E_FORMAT, "scan line 0" },
+    };
+    orl_imagef r, was;
+    memset(&r, 0x5a, sizeof r);
+    was = r;
+    for (size_t k = 0; k < sizeof CASE / sizeof *CASE; k++) {
+        put_text(at("l.hdr"), CASE[k].text);
+        failed(orl_imagef_read(at("l.hdr"), &r), CASE[k].want, at("l.hdr"), CASE[k].field, NULL);
+        assert_memory_equal(&r, &was, sizeof r);
+    }
+    /* New runs of no pixel, and one pixel too many. */
+    for (int bad = 0; bad < 3; bad++) {
+        uint8_t b[200], *o = b + sprintf((char *)b, HDR_HEAD "-Y 1 +X 8\n");
+        memcpy(o, "\2\2\0\10", 4); o += 4;
+        for (int c = 0; c < 4; c++) { *o++ = (uint8_t)(bad == 0 ? 0 : 136 + (bad == 1 && c == 3)); *o++ = 130; }
+        put_bytes(at("l.hdr"), b, (size_t)(o - b));
+        if (bad < 2) { failed(orl_imagef_read(at("l.hdr"), &r), ORL_E_FORMAT, at("l.hdr"), "scan line 0", NULL); continue; }
+        ok(orl_imagef_read(at("l.hdr"), &r));       /* what is right after all */
+        assert_true(r.px[0] == (float)ldexp(130, 130 - 136) && r.px[23] == r.px[0]);
+        orl_imagef_free(&r);
+    }
+    /* Lines may end as elsewhere, and a comment be long. */
+    put_text(at("l.hdr"), "#?RGBE\r\n# 0123456789012345678901234567890123456789012345678901234567890123456789012345678901234567890123456789012345678901234567890123456789\r\nFORMAT=32-bit_rle_rgbe \r\n\r\n-Y 1 +X 1\r\nabc\200");
+    ok(orl_imagef_read(at("l.hdr"), &r));
+    assert_true(r.px[0] == 'a' / 256.0f && r.px[2] == 'c' / 256.0f);
+    orl_imagef_free(&r);
+#undef F
+#undef DATA
+}
+
 static orl_err read_any(const char *path)
 {
-    if (strstr(path, ".exr")) {
+    if (strstr(path, ".exr") || strstr(path, ".hdr")) {
         orl_imagef f, was;
         memset(&f, 0x5a, sizeof f);
         was = f;
-        orl_err e = orl_exr_read(path, "RGB", &f);
+        orl_err e = orl_imagef_read(path, &f);
         if (e) assert_memory_equal(&f, &was, sizeof f);
         else orl_imagef_free(&f);
         return e;
@@ -508,6 +660,14 @@ static orl_err read_any(const char *path)
 /* A small picture of each format. */
 static int write_any(const char *format, const char *path)
 {
+    if (!strcmp(format, "hdr")) {
+        static uint8_t px[24 * 20][4];
+        size_t n;
+        uint8_t *b = make_hdr(24, 20, NEW_RUNS, px, &n);
+        put_bytes(path, b, n);
+        free(b);
+        return 1;
+    }
     orl_image im = corners(24, 20);
     orl_imagef f;
     if (!has(format)) { orl_image_free(&im); return 0; }
@@ -520,13 +680,14 @@ static int write_any(const char *format, const char *path)
 
 static const struct { const char *format, *file, *magic; size_t nmagic; } KIND[] = {
     { "png", "a.png", "\x89PNG\r\n\x1a\n", 8 }, { "jpeg", "a.jpg", "\xff\xd8\xff\xe0", 4 }, { "exr", "a.exr", "\x76\x2f\x31\x01\x02\0\0\0", 8 },
+    { "hdr", "a.hdr", "#?RADIAN", 8 },
 };
 
 /* Every length that is too short is refused by name. */
 static void cut_short(void **state)
 {
     (void)state;
-    for (int k = 0; k < 3; k++) {
+    for (int k = 0; k < 4; k++) {
         size_t n;
         if (!write_any(KIND[k].format, at("%s", KIND[k].file))) continue;
         uint8_t *bytes = slurp(at("%s", KIND[k].file), &n);
@@ -546,8 +707,8 @@ static void noise(void **state)
     (void)state;
     uint8_t b[3000];
     seed_print();
-    for (int k = 0; k < 3; k++) {
-        if (!has(KIND[k].format)) continue;
+    for (int k = 0; k < 4; k++) {
+        if (k < 3 && !has(KIND[k].format)) continue;
         for (int round = 0; round < 60; round++) {
             size_t n = round ? rnd() % sizeof b : 0;
             for (size_t i = 0; i < n; i++) b[i] = (uint8_t)rnd();
@@ -571,7 +732,7 @@ static void flipped(void **state)
 {
     (void)state;
     seed_print();
-    for (int k = 0; k < 3; k++) {
+    for (int k = 0; k < 4; k++) {
         size_t n;
         int refused = 0;
         if (!write_any(KIND[k].format, at("%s", KIND[k].file))) continue;
@@ -708,7 +869,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         TEST(allocates), TEST(conversions), TEST(long_side), TEST(area_resize), TEST(whole_factors), TEST(formats_listed), TEST(png_there_and_back), TEST(jpeg_there_and_back),
-        TEST(exif_orientation), TEST(exr_there_and_back), TEST(exr_values), TEST(exr_of_others), TEST(exr_float), TEST(cut_short), TEST(noise), TEST(flipped), TEST(file_read), TEST(file_write), TEST(failing_writes),
+        TEST(exif_orientation), TEST(exr_there_and_back), TEST(exr_values), TEST(exr_of_others), TEST(exr_float), TEST(hdr_there_and_back), TEST(hdr_of_others), TEST(hdr_lies), TEST(cut_short), TEST(noise), TEST(flipped), TEST(file_read), TEST(file_write), TEST(failing_writes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -28,6 +28,8 @@ orl_err orl_image_from_float(const orl_imagef *in, orl_image *out);/* clamp, *25
  * Writing goes to a temporary file, fsync, rename. */
 orl_err orl_image_read(const char *path, int want_c, orl_image *out);
 orl_err orl_image_write(const char *path, const orl_image *im);
+/* Linear RGB of a float picture: .exr (below), or else Radiance's RGBE (flat, old and new run lengths; -Y H +X W; at most 2^28 pixels), told by its first bytes. Files may be hostile. */
+orl_err orl_imagef_read(const char *path, orl_imagef *out);
 /* OpenEXR through its C core API (scan lines, half or float, any channel order). channels: e.g. "RGB", "Y"; missing channel -> ORL_E_FORMAT. Linear values, NaN/inf -> 0 / 65504. */
 orl_err orl_exr_read(const char *path, const char *channels, orl_imagef *out);
 /* names: c comma-separated channel names, e.g. "R,G,B" or "albedo.R,albedo.G,albedo.B,Z". Half float, ZIP; the other one 32-bit float. */
