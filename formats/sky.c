@@ -88,6 +88,17 @@ static void direction(int w, float d[3], float *area)
     *area = step * (orl_sinf(PI / 2 - (float)row * step) - orl_sinf(PI / 2 - (float)(row + 1) * step));
 }
 
+void orl_sky_beam(float el, float turbidity, float ln_sun[3])
+{
+    /* Wavelengths of R, G, B in um; ozone at 0.35 cm */
+    static const float LAMBDA[3] = { 0.61f, 0.55f, 0.465f }, OZONE[3] = { 0.044f, 0.030f, 0.004f }, SUN[3] = { 1.05f, 1.0f, 0.94f };
+    float mass = 1 / (orl_sinf(el) + 0.15f * orl_powf(el * (180 / PI) + 3.885f, -1.253f));
+    for (int c = 0; c < 3; c++) {
+        float rayleigh = 0.008735f * orl_powf(LAMBDA[c], -4.08f), aerosol = (0.04608f * turbidity - 0.04586f) * orl_powf(LAMBDA[c], -1.3f);
+        ln_sun[c] = orl_logf(SUN[c]) - mass * (rayleigh + aerosol + OZONE[c]);
+    }
+}
+
 void orl_sky_parametric(uint32_t index, orl_sky *out)
 {
     /* 1: sky type (the sequence goes through all), sun elevation, turbidity, cloud cover */
@@ -96,13 +107,12 @@ void orl_sky_parametric(uint32_t index, orl_sky *out)
     float T = clampf((TYPE[type].turbidity > 0 ? TYPE[type].turbidity : 6) * orl_expf(0.2f * orl_sky_normal(n, 2)), 2, 14), Tc = T < 6 ? T : 6;
     float cover = type >= 5 && orl_sky_uniform(n, 3) < 0.6f ? 0.1f + 0.6f * orl_sky_uniform(n, 4) : 0;
 
-    /* 2: direct beam. Wavelengths of R, G, B in um; ozone at 0.35 cm */
-    static const float LAMBDA[3] = { 0.61f, 0.55f, 0.465f }, OZONE[3] = { 0.044f, 0.030f, 0.004f }, SUN[3] = { 1.05f, 1.0f, 0.94f };
-    float mass = 1 / (sz + 0.15f * orl_powf(el * (180 / PI) + 3.885f, -1.253f)), beam[3];
+    /* 2: direct beam */
+    float beam[3];
+    orl_sky_beam(el, T, out->ln_sun);
     float hidden = type < 5 ? 3 + 4 * orl_sky_uniform(n, 5) : cover > 0 && orl_sky_uniform(n, 6) < cover ? 1 + 4 * orl_sky_uniform(n, 7) : 0;
     for (int c = 0; c < 3; c++) {
-        float rayleigh = 0.008735f * orl_powf(LAMBDA[c], -4.08f), aerosol = (0.04608f * T - 0.04586f) * orl_powf(LAMBDA[c], -1.3f);
-        out->ln_sun[c] = orl_logf(SUN[c]) - mass * (rayleigh + aerosol + OZONE[c]) - hidden;
+        out->ln_sun[c] -= hidden;
         beam[c] = orl_expf(out->ln_sun[c]) * sz;
     }
     out->sun_el = el;

@@ -11,6 +11,8 @@ typedef struct {
 /* Sky number `index` of an endless fixed sequence: CIE general sky (ISO 15469) with the chromaticities of Preetham et al. 1999, Rayleigh and aerosol extinction of the sun, noise clouds, and
  * sun elevations of 2 to 75 degrees; exposed as a camera would (see below). */
 void orl_sky_parametric(uint32_t index, orl_sky *out);
+/* ln of the sun's irradiance at normal incidence behind a clear atmosphere, elevation 0 to pi/2, turbidity about 2 (clear) to 16; outside of the atmosphere it is about 1. */
+void orl_sky_beam(float elevation, float turbidity, float ln_sun[3]);
 /* Scales sky and sun so that a white horizontal surface is displayed at exp(ln_exposure) (1 = white), and shifts red and blue by -+ warmth (ln). */
 void orl_sky_expose(orl_sky *s, float ln_exposure, float warmth);
 /* Standard normal and uniform [0, 1) numbers that depend on (index, what) alone. */
