@@ -1,328 +1,296 @@
-/* `oriel relight`: the scene under a chosen sky. In: an equirectangular EXR (zenith at the top, azimuth (0.5 - u) * 360 degrees from the world's +X, counter-clockwise seen from above).
- * The sun is cut out of it, the rest becomes the light model's 8 x 32 map; colours are float, light by oriel/light.h without tone, so that an EXR holds linear radiance in the map's units. */
+/* `oriel relight`: the scene under a chosen sky, as a picture for display, as linear layers, or as a clip of a day. Colours are float, light by oriel/light.h without tone, so that an EXR
+ * holds linear radiance in the panorama's units. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+#include <unistd.h>
 #include "oriel/math.h"
 #include "oriel/parallel.h"
-#include "oriel/view.h"
 #include "runtime/commands.h"
+#include "runtime/relight.h"
+#include "runtime/sink.h"
 #include "runtime/widen.h"
 
 static const char HELP[] =
-    "Usage: oriel relight --scene FILE --sky ENV.exr (--pose FILE | --colmap DIR --photo NAME) [OPTION]... -o PICTURE\n"
-    "Render the scene under an environment map. PICTURE: .png or .jpg for display; .exr with linear R, G, B, albedo, normal (world), Z (along the optical axis, 0 = sky).\n\n"
+    "Usage: oriel relight --scene FILE --sky SKY (--pose FILE | --colmap DIR --photo NAME) [OPTION]... -o PICTURE\n"
+    "       oriel relight --day LATITUDE[,DAY] ... -o CLIP.y4m\n"
+    "Render the scene under an environment map. PICTURE: .png or .jpg for display, or .exr for work.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
-    "  --sky FILE       equirectangular EXR, zenith at the top; the world's +X in the centre column\n"
+    "  --sky FILE       equirectangular OpenEXR or Radiance (.hdr) picture, zenith at the top; the world's +X in the centre column, +Y a quarter to the left of it\n"
     "  --rotate DEG     turn the map counter-clockwise\n"
-    "  --sun AZ,EL      move the map's sun to this azimuth and elevation (degrees, azimuth as in the map)\n"
-    "  --exposure EV    display pictures: brighter by EV stops than the automatic exposure\n"
+    "  --sun AZ,EL      move the map's sun, with its energy, to this azimuth and elevation (degrees; 0 the world's +X, 90 +Y)\n"
+    "  --day LAT[,DAY]  a clip from sunrise to sunset at this latitude (degrees, south negative) and day (MM-DD or 1..366; 81, an equinox). The map's sun goes along, weaker and redder\n"
+    "                   where it shines through more air than in the map; the sky dims with the sun's height. A map with a high sun gives the best days. CLIP: .y4m, - for standard output\n"
+    "  --north DEG      for --day: the azimuth of north; 90\n"
+    "  --frames N       for --day: pictures, 25 a second; 125\n"
+    "  --tone TONE      display pictures and clips: neutral, warm, cool, faded, mono, contrast, or a text file of 12 numbers, the rows of [A b] in rgb = A e + b, e the sRGB colour in 0..1\n"
+    "  --exposure EV    display pictures and clips: brighter by EV stops than the automatic exposure\n"
     "  --pose FILE      camera; the second line, where there is one, is the view rendered\n"
     "  --colmap DIR     or: a SCENE folder or COLMAP model, with\n"
     "  --photo NAME     the photo whose camera it is\n"
     "  --widen F        field of view, times the camera's; 1\n"
     "  --size WxH       size of the picture\n"
     "  --threads N      0: one per core\n"
-    "  --help           this text\n";
+    "  --help           this text\n\n"
+    "An EXR is linear, in the map's units, 32-bit float, never toned or exposed: R, G, B; A (how much of a pixel is surface); albedo.R G B; normal.X Y Z (world);\n"
+    "Z (along the optical axis, world units, 0 = sky); shadow.Y (the sun's visibility times the learned shadow); irradiance.R G B (sun, sky and ground, shadows in it);\n"
+    "sky.R G B (times 1 - A). R = A * albedo.R * irradiance.R / pi + sky.R, and so on.\n";
 
 #define PI 3.14159265f
 #define DEG (PI / 180)
-#define LOBE (8 * DEG)                  /* the sun's energy lies within this of the brightest pixel */
-#define RING (20 * DEG)                 /* the sky around it, from 1.5 lobes to here */
 
 typedef struct {
-    const char *scene, *sky, *photo, *out;
+    const char *scene, *sky, *photo, *out, *tone;
     orl_view_request view;
-    double rotate, exposure, sun_az, sun_el;
-    int moved, threads;
+    double rotate, exposure, sun_az, sun_el, north;
+    orl_day day;
+    int moved, daily, directed, frames, threads;
 } options;
 
-/* The map, with what is needed to ask it in the scene frame. */
+/* What one run owns. */
 typedef struct {
-    orl_imagef map;
-    float turn;                         /* scene azimuth of the map's centre column */
-    int has_sun;
-    float sun_az, sun_el, sun[3];       /* scene frame; irradiance at normal incidence */
-    float rest[3];                      /* radiance that stands where the sun was cut out */
-    float peak[3];                      /* direction of the lobe in the map's frame */
-} sky;
+    const options *o;
+    orl_day day;
+    orl_scene scene;
+    orl_view view;
+    orl_panorama sky;
+    orl_relight light;
+    orl_tone tone;
+    float *linear, *scratch;
+    orl_image rgb;
+    void *block;
+} studio;
 
-static void direction(float az, float el, float d[3])
+/* ---- pictures ---- */
+
+static const char LAYERS[] = "R,G,B,A,albedo.R,albedo.G,albedo.B,normal.X,normal.Y,normal.Z,Z,shadow.Y,irradiance.R,irradiance.G,irradiance.B,sky.R,sky.G,sky.B";
+enum { LAYER_CHANNELS = 18 };
+
+typedef struct { const studio *s; double world[9]; float *px; } layer_job;      /* world: scene frame -> world */
+
+static void layer_rows(void *user, int begin, int end)
 {
-    float c = orl_cosf(el);
-    d[0] = c * orl_cosf(az);
-    d[1] = c * orl_sinf(az);
-    d[2] = orl_sinf(el);
-}
-
-static float dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-static float luminance(const float *c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
-
-/* Centre of map pixel (x, y), in the map's own frame; dw: its solid angle. */
-static void map_pixel(const orl_imagef *m, float x, float y, float d[3], float *dw)
-{
-    float el = (0.5f - y / (float)m->h) * PI;
-    direction((0.5f - x / (float)m->w) * 2 * PI, el, d);
-    *dw = 2 * PI / (float)m->w * PI / (float)m->h * orl_cosf(el);
-}
-
-static int by_value(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
-static int in_lobe(const sky *s, const float d[3], const float *px) { return dot3(d, s->peak) > orl_cosf(LOBE) && luminance(px) > 4 * luminance(s->rest); }
-
-/* The brightest pixel above the horizon, the sky around it, and what stands out of that sky. It is a sun if that lights a face turned to it more than a twentieth of what the sky does. */
-static orl_err find_sun(sky *s)
-{
-    const orl_imagef *m = &s->map;
-    size_t n = (size_t)m->w * (size_t)(m->h / 2), best = 0, count = 0;
-    float d[3], dw, sun_dir[3] = { 0 }, whole = 0;
-    float *ring = malloc(n * 3 * sizeof *ring);
-    if (!ring) return orl_fail(ORL_E_MEMORY, "relight: no memory for the sky");
-    for (size_t i = 0; i < n; i++) {
-        if (luminance(m->px + 3 * i) > luminance(m->px + 3 * best)) best = i;
-        map_pixel(m, 0.5f, (float)(i / (size_t)m->w) + 0.5f, d, &dw);
-        whole += luminance(m->px + 3 * i) * dw * d[2];
-    }
-    map_pixel(m, (float)(best % (size_t)m->w) + 0.5f, (float)(best / (size_t)m->w) + 0.5f, s->peak, &dw);
-    for (size_t i = 0; i < n; i++) {
-        map_pixel(m, (float)(i % (size_t)m->w) + 0.5f, (float)(i / (size_t)m->w) + 0.5f, d, &dw);
-        float c = dot3(d, s->peak);
-        if (c > orl_cosf(1.5f * LOBE) || c < orl_cosf(RING)) continue;
-        for (int k = 0; k < 3; k++) ring[(size_t)k * n + count] = m->px[3 * i + (size_t)k];
-        count++;
-    }
-    for (int k = 0; k < 3 && count; k++) {
-        qsort(ring + (size_t)k * n, count, sizeof *ring, by_value);
-        s->rest[k] = ring[(size_t)k * n + count / 2];
-    }
-    free(ring);
-    for (size_t i = 0; i < n; i++) {
-        const float *px = m->px + 3 * i;
-        map_pixel(m, (float)(i % (size_t)m->w) + 0.5f, (float)(i / (size_t)m->w) + 0.5f, d, &dw);
-        if (!in_lobe(s, d, px)) continue;
-        for (int k = 0; k < 3; k++) {
-            s->sun[k] += (px[k] > s->rest[k] ? px[k] - s->rest[k] : 0) * dw;
-            sun_dir[k] += luminance(px) * dw * d[k];
-        }
-    }
-    float len = sqrtf(dot3(sun_dir, sun_dir));
-    s->has_sun = luminance(s->sun) > 0.05f * whole && len > 0;
-    if (!s->has_sun) {
-        memset(s->sun, 0, sizeof s->sun);
-        memcpy(sun_dir, s->peak, sizeof sun_dir);
-        len = 1;
-    }
-    s->sun_az = s->turn + orl_atan2f(sun_dir[1], sun_dir[0]);
-    s->sun_el = orl_asinf(sun_dir[2] / len);
-    return ORL_OK;
-}
-
-/* Mean radiance of each cell of the light model's map, sun left out. Small maps are sampled several times a pixel, so that no cell stays empty. */
-static void light_map(const sky *s, float env[ORL_ENV][3])
-{
-    const orl_imagef *m = &s->map;
-    int sub = m->w >= 1024 ? 1 : (1023 + m->w) / m->w;
-    double sum[ORL_ENV][4];
-    memset(sum, 0, sizeof sum);
-    for (int y = 0; y < m->h * sub; y++) {
-        float el = (0.5f - ((float)y + 0.5f) / (float)(m->h * sub)) * PI, dw = orl_cosf(el);
-        if (el <= 0) break;
-        int row = (int)((PI / 2 - el) * 16 / PI);
-        row = row > ORL_ENV_ROWS - 1 ? ORL_ENV_ROWS - 1 : row;
-        for (int x = 0; x < m->w * sub; x++) {
-            float az = (0.5f - ((float)x + 0.5f) / (float)(m->w * sub)) * 2 * PI, t = (az + s->turn - s->sun_az) / (2 * PI) + 0.5f, d[3];
-            const float *px = m->px + ((size_t)(y / sub) * (size_t)m->w + (size_t)(x / sub)) * 3;
-            int col = (int)((t - floorf(t)) * ORL_ENV_COLS) % ORL_ENV_COLS;
-            if (s->has_sun) {
-                direction(az, el, d);
-                px = in_lobe(s, d, px) ? s->rest : px;
-            }
-            double *c = sum[row * ORL_ENV_COLS + col];
-            for (int k = 0; k < 3; k++) c[k] += (double)px[k] * (double)dw;
-            c[3] += (double)dw;
-        }
-    }
-    for (int i = 0; i < ORL_ENV; i++)
-        for (int k = 0; k < 3; k++) env[i][k] = sum[i][3] > 0 ? (float)(sum[i][k] / sum[i][3]) : 0;
-}
-
-/* The map itself in a scene direction, bilinear. */
-static void look_up(const sky *s, const float dir[3], float rgb[3])
-{
-    const orl_imagef *m = &s->map;
-    float u = 0.5f - (orl_atan2f(dir[1], dir[0]) - s->turn) / (2 * PI), v = 0.5f - orl_asinf(dir[2]) / PI;
-    float x = (u - floorf(u)) * (float)m->w - 0.5f, y = v * (float)m->h - 0.5f;
-    int ix = (int)floorf(x), iy = (int)floorf(y);
-    float fx = x - (float)ix, fy = y - (float)iy;
-    rgb[0] = rgb[1] = rgb[2] = 0;
-    for (int k = 0; k < 4; k++) {
-        int px = (ix + (k & 1) + m->w) % m->w, py = iy + (k >> 1);
-        py = py < 0 ? 0 : py >= m->h ? m->h - 1 : py;
-        float w = (k & 1 ? fx : 1 - fx) * (k >> 1 ? fy : 1 - fy);
-        for (int c = 0; c < 3; c++) rgb[c] += w * m->px[((size_t)py * (size_t)m->w + (size_t)px) * 3 + (size_t)c];
-    }
-}
-
-/* ---- the picture ---- */
-
-typedef struct { const orl_view *view; const orl_light *light; const sky *sky; float scale; float *linear; } shading;     /* scale: map units -> light; linear: [pixel][3] in map units */
-
-static void shade(void *user, int begin, int end)
-{
-    shading *s = user;
+    layer_job *j = user;
+    const orl_view *v = &j->s->view;
     for (int y = begin; y < end; y++)
-        for (int x = 0; x < s->view->w; x++) {
-            orl_sample p;
-            float *o = s->linear + ((size_t)y * (size_t)s->view->w + (size_t)x) * 3, e[3] = { 0, 0, 0 }, far[3] = { 0, 0, 0 };
-            memset(&p, 0, sizeof p);
-            orl_view_sample(s->view, x, y, &p);
-            float cov = p.cov;
-            p.cov = 1;
-            if (cov > 0) orl_light_shade(s->light, &p, e);
-            if (cov < 1) look_up(s->sky, p.dir, far);
-            for (int c = 0; c < 3; c++) o[c] = cov * orl_light_decode_srgb(e[c]) / s->scale + (1 - cov) * far[c];
-        }
-}
-
-/* 95th percentile of the surface's luminance. */
-static float bright(const orl_view *v, const float *linear)
-{
-    size_t n = 0, cap = (size_t)v->w * (size_t)v->h;
-    float *l = malloc(cap * sizeof *l), r = 0;
-    for (int y = 0; l && y < v->h; y++)
-        for (int x = 0; x < v->w; x++)
-            if (v->cov[(size_t)y * (size_t)v->stride + (size_t)x] == 255) l[n++] = luminance(linear + ((size_t)y * (size_t)v->w + (size_t)x) * 3);
-    if (n) {
-        qsort(l, n, sizeof *l, by_value);
-        r = l[n * 95 / 100];
-    }
-    free(l);
-    return r;
-}
-
-static orl_err write_display(const options *o, const orl_view *v, const float *linear, float fallback)
-{
-    orl_image im;
-    float top = bright(v, linear), gain = (top > 0 ? 0.8f / top : fallback) * orl_expf((float)o->exposure * 0.69314718f);
-    orl_err e = orl_image_alloc(&im, v->w, v->h, 3);
-    if (e) return e;
-    for (size_t i = 0; i < (size_t)v->w * (size_t)v->h * 3; i++) {
-        float d = orl_light_encode(linear[i] * gain);
-        im.px[i] = (uint8_t)((d > 1 ? 1 : d > 0 ? d : 0) * 255 + 0.5f);
-    }
-    e = orl_image_write(o->out, &im);
-    orl_image_free(&im);
-    return e;
-}
-
-static orl_err write_linear(const options *o, const orl_view *v, const float *linear, const double R[9], float cell_world)
-{
-    orl_imagef im;
-    orl_err e = orl_imagef_alloc(&im, v->w, v->h, 10);
-    if (e) return e;
-    for (int y = 0; y < v->h; y++)
         for (int x = 0; x < v->w; x++) {
-            size_t i = (size_t)y * (size_t)v->w + (size_t)x;
             uint16_t depth = v->depth[(size_t)y * (size_t)v->stride + (size_t)x];
-            float *p = im.px + 10 * i;
-            orl_sample s;
+            float *p = j->px + ((size_t)y * (size_t)v->w + (size_t)x) * LAYER_CHANNELS;
+            orl_layers l;
             double ray[3];
-            memset(&s, 0, sizeof s);
-            orl_view_sample(v, x, y, &s);
+            orl_relight_pixel(&j->s->light, x, y, &l);
             orl_camera_unproject(&v->cam, x + 0.5, y + 0.5, ray);
             for (int c = 0; c < 3; c++) {
-                p[c] = linear[3 * i + (size_t)c];
-                p[3 + c] = s.cov > 0 ? s.albedo[c] : 0;
-                for (int k = 0; k < 3; k++) p[6 + c] += s.cov > 0 ? (float)R[3 * k + c] * s.normal[k] : 0;      /* scene frame -> world */
+                p[c] = l.rgb[c];
+                p[4 + c] = l.albedo[c];
+                for (int k = 0; k < 3; k++) p[7 + c] += (float)j->world[3 * c + k] * l.normal[k];
+                p[12 + c] = l.irradiance[c];
+                p[15 + c] = l.sky[c];
             }
-            p[9] = depth == 65535 ? 0 : (float)depth / 16 * cell_world / sqrtf((float)(ray[0] * ray[0] + ray[1] * ray[1] + 1));
+            p[3] = l.cov;
+            p[10] = depth == 65535 ? 0 : (float)depth / 16 * j->s->scene.cell_world / sqrtf((float)(ray[0] * ray[0] + ray[1] * ray[1] + 1));
+            p[11] = l.shadow;
         }
-    e = orl_exr_write(o->out, &im, "R,G,B,albedo.R,albedo.G,albedo.B,normal.X,normal.Y,normal.Z,Z");
+}
+
+static orl_err write_layers(const studio *s, const double R[9])
+{
+    orl_imagef im;
+    orl_err e = orl_imagef_alloc(&im, s->view.w, s->view.h, LAYER_CHANNELS);
+    if (e) return e;
+    layer_job j = { .s = s, .px = im.px };
+    for (int i = 0; i < 9; i++) j.world[i] = R[i % 3 * 3 + i / 3];
+    orl_parallel(s->o->threads, s->view.h, 8, layer_rows, &j);
+    e = orl_exr_write_float(s->o->out, &im, LAYERS);
     orl_imagef_free(&im);
     return e;
 }
 
-static orl_err relight(const options *o)
+/* The factor on linear radiance that puts the bright surfaces of a picture at 0.8. */
+static float gain_for(const studio *s, float bright) { return (bright > 0 ? 0.8f / bright : s->light.level) * orl_expf((float)s->o->exposure * 0.69314718f); }
+
+static orl_err write_display(studio *s)
 {
-    orl_scene scene = { 0 };
-    orl_view_pose from, to;
-    orl_view view;
-    sky s;
-    orl_light *light = malloc(sizeof *light);
-    float (*env)[3] = malloc(ORL_ENV * sizeof *env), *linear = NULL, code[ORL_CODE], up[3];
-    void *block = NULL;
-    memset(&s, 0, sizeof s);
-    orl_err e = light && env ? orl_place_open(o->scene, &scene) : orl_fail(ORL_E_MEMORY, "relight: no memory");
-    if (!e) e = orl_exr_read(o->sky, "RGB", &s.map);
-    if (!e && (s.map.w < 8 || s.map.h < 4)) e = orl_fail(ORL_E_RANGE, "%s: %d x %d pixels are no environment map", o->sky, s.map.w, s.map.h);
-    if (!e) e = orl_views_find(&o->view, o->photo ? o->photo : "", 0, 0, &from, &to);
-    if (e) goto done;
-    size_t pixels = (size_t)to.cam.w * (size_t)to.cam.h, need = orl_view_need(to.cam.w, to.cam.h);
-    block = orl_widen_block(need);
-    linear = malloc(pixels * 3 * sizeof *linear);
-    if (!block || !linear) {
-        e = orl_fail(ORL_E_MEMORY, "relight: no memory for a view of %d x %d", to.cam.w, to.cam.h);
-        goto done;
-    }
-    if ((e = orl_view_build(&scene, &to.cam, &to.pose, 2, o->threads, block, need, &view))) goto done;
+    orl_relight_linear(&s->light, s->o->threads, s->linear);
+    orl_relight_display(&s->light, s->o->threads, s->linear, gain_for(s, orl_relight_bright(&s->light, s->linear, s->scratch)), &s->tone, s->rgb.px);
+    return orl_image_write(s->o->out, &s->rgb);
+}
 
-    double R[9], scale = sqrt(scene.world_to_grid[0] * scene.world_to_grid[0] + scene.world_to_grid[1] * scene.world_to_grid[1] + scene.world_to_grid[2] * scene.world_to_grid[2]);
-    for (int i = 0; i < 9; i++) R[i] = scene.world_to_grid[i / 3 * 4 + i % 3] / scale;
-    /* The map's zenith is the scene's; its centre column is where the world's +X points (+Y, a quarter on, if +X is the vertical). */
-    int y_axis = R[0] * R[0] + R[3] * R[3] < 0.01;
-    s.turn = orl_atan2f((float)R[3 + y_axis], (float)R[y_axis]) - (float)y_axis * PI / 2 + (float)o->rotate * DEG;
-    if ((e = find_sun(&s))) goto done;
-    if (o->moved && !s.has_sun) {
-        e = orl_fail(ORL_E_DEGENERATE, "%s: no sun in it that --sun could move", o->sky);
-        goto done;
-    }
-    if (o->moved) {
-        s.sun_az = s.turn + (float)o->sun_az * DEG;
-        s.sun_el = (float)o->sun_el * DEG;
-    }
-    light_map(&s, env);
-    memcpy(code, scene.light.prior_mean, sizeof code);
-    memset(code + ORL_C_TONE, 0, ORL_TONE_DIM * sizeof *code);
-    code[ORL_C_SUN_AZ] = s.sun_az;
-    code[ORL_C_SUN_EL] = s.sun_el;
-    for (int k = 0; k < 3; k++) code[ORL_C_SUN_RGB + k] = orl_logf(s.sun[k]);
-    orl_light_from_env(&scene.light, (const float (*)[3])env, code, light);
-    orl_light_esky(light, (const float[]) { 0, 0, 1 }, up);
-    for (int k = 0; k < 3; k++) up[k] += s.sun[k] * orl_sinf(s.sun_el);
-    /* Light that makes a white floor about 1: in the middle of the model's range. */
-    float level = luminance(up) > 0 ? PI / luminance(up) : 1;
-    for (int i = 0; i < ORL_ENV; i++)
-        for (int k = 0; k < 3; k++) env[i][k] *= level;
-    for (int k = 0; k < 3; k++) code[ORL_C_SUN_RGB + k] = orl_logf(s.sun[k] * level);
-    orl_light_from_env(&scene.light, (const float (*)[3])env, code, light);
+/* ---- a day ---- */
 
-    shading job = { &view, light, &s, level, linear };
-    orl_parallel(o->threads, view.h, 8, shade, &job);
-    size_t len = strlen(o->out);
-    e = len > 4 && !strcasecmp(o->out + len - 4, ".exr") ? write_linear(o, &view, linear, R, scene.cell_world) : write_display(o, &view, linear, level);
-done:
-    free(light); free(env); free(linear); free(block);
-    orl_imagef_free(&s.map);
-    orl_scene_close(&scene);
+/* One exposure for all of a clip: that of the brightest of five hours. */
+static float day_gain(studio *s, float rise)
+{
+    float top = 0;
+    for (int i = 0; i < 5; i++) {
+        orl_sun sun = orl_day_sun(&s->day, rise * (0.8f - 0.4f * (float)i), &s->sky);
+        orl_relight_set(&s->light, &sun);
+        orl_relight_linear(&s->light, s->o->threads, s->linear);
+        float bright = orl_relight_bright(&s->light, s->linear, s->scratch);
+        top = bright > top ? bright : top;
+    }
+    return gain_for(s, top);
+}
+
+/* Every frame on a terminal, elsewhere a plain line every half minute. */
+static void progress(double start, double *told, int done, int frames)
+{
+    int terminal = isatty(STDERR_FILENO);
+    double t = orl_seconds();
+    if (done < frames && t - *told < (terminal ? 0.5 : 30)) return;
+    int left = (int)((t - start) * (frames - done) / done + 0.5);
+    *told = t;
+    fprintf(stderr, terminal ? "\rframe %d of %d, %d:%02d left\033[K%s" : "frame %d of %d, %d:%02d left%s", done, frames, left / 60, left % 60, terminal && done < frames ? "" : "\n");
+}
+
+static orl_err put_day(studio *s, orl_sink *sink, float rise)
+{
+    const options *o = s->o;
+    double start = orl_seconds(), told = start;
+    float gain = day_gain(s, rise);
+    orl_err e = ORL_OK;
+    for (int i = 0; !e && i < o->frames; i++) {
+        orl_sun sun = orl_day_sun(&s->day, rise * (1 - (2 * (float)i + 1) / (float)o->frames), &s->sky);
+        orl_relight_set(&s->light, &sun);
+        orl_relight_linear(&s->light, o->threads, s->linear);
+        orl_relight_display(&s->light, o->threads, s->linear, gain, &s->tone, s->rgb.px);
+        e = orl_sink_put(sink, s->rgb.px, (size_t)s->view.w * 3);
+        progress(start, &told, i + 1, o->frames);
+    }
+    return e;
+}
+
+static orl_err write_day(studio *s)
+{
+    const char *out = s->o->out;
+    char tmp[4200];
+    int stream = !strcmp(out, "-");
+    float rise;
+    orl_sink *sink = NULL;
+    orl_err e = orl_day_rise(&s->day, &rise);
+    if (e) return e;
+    if (snprintf(tmp, sizeof tmp, stream ? "%s" : "%s.tmp%ld", out, (long)getpid()) >= (int)sizeof tmp) return orl_fail(ORL_E_RANGE, "%s: path is too long", out);
+    orl_sun noon = orl_day_sun(&s->day, 0, &s->sky);
+    orl_relight_init(&s->view, &s->scene.light, &s->sky, &noon, &s->light);
+    if ((e = orl_sink_y4m(tmp, s->view.w, s->view.h, 25, 1, &sink))) return e;
+    e = put_day(s, sink, rise);
+    orl_err last = orl_sink_close(sink, NULL, 0);
+    e = e ? e : last;
+    if (!e && !stream) return orl_file_replace(tmp, out);
+    if (!stream) unlink(tmp);
     return e;
 }
 
 /* ---- the command ---- */
+
+static int ends(const char *name, const char *with)
+{
+    size_t n = strlen(name), m = strlen(with);
+    return n > m && !strcasecmp(name + n - m, with);
+}
+
+/* R: world -> scene frame; world: the scene azimuth of its azimuth 0. */
+static orl_err set_up(studio *s, double R[9], float *world)
+{
+    const options *o = s->o;
+    orl_view_pose from, to;
+    orl_err e = orl_tone_find(o->tone ? o->tone : "neutral", &s->tone);
+    if (!e) e = orl_place_open(o->scene, &s->scene);
+    if (!e) e = orl_panorama_open(o->sky, &s->sky);
+    if (!e && (o->moved || o->daily) && !s->sky.has_sun) e = orl_fail(ORL_E_DEGENERATE, "%s: no sun in it that --%s could move", o->sky, o->moved ? "sun" : "day");
+    if (!e) e = orl_views_find(&o->view, o->photo ? o->photo : "", 0, 0, &from, &to);
+    if (e) return e;
+    size_t pixels = (size_t)to.cam.w * (size_t)to.cam.h, need = orl_view_need(to.cam.w, to.cam.h);
+    s->block = orl_widen_block(need);
+    s->linear = malloc(pixels * 3 * sizeof *s->linear);
+    s->scratch = malloc(pixels * sizeof *s->scratch);
+    if (!s->block || !s->linear || !s->scratch) return orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to.cam.w, to.cam.h);
+    if ((e = orl_image_alloc(&s->rgb, to.cam.w, to.cam.h, 3))) return e;
+    if ((e = orl_view_build(&s->scene, &to.cam, &to.pose, 2, o->threads, s->block, need, &s->view))) return e;
+    const double *m = s->scene.world_to_grid;
+    double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
+    for (int i = 0; i < 9; i++) R[i] = m[i / 3 * 4 + i % 3] / scale;
+    /* The map's zenith is the scene's; its centre column is where the world's +X points (+Y, a quarter on, if +X is the vertical). */
+    int y_axis = R[0] * R[0] + R[3] * R[3] < 0.01;
+    *world = orl_atan2f((float)R[3 + y_axis], (float)R[y_axis]) - (float)y_axis * PI / 2;
+    s->sky.turn = *world + (float)o->rotate * DEG;
+    s->day = o->day;
+    s->day.north = *world + (float)o->north * DEG;
+    return ORL_OK;
+}
+
+static orl_err relight(const options *o)
+{
+    studio *s = calloc(1, sizeof *s);
+    double R[9];
+    if (!s) return orl_fail(ORL_E_MEMORY, "relight: no memory");
+    s->o = o;
+    float world = 0;
+    orl_err e = set_up(s, R, &world);
+    if (!e && o->daily) e = write_day(s);
+    else if (!e) {
+        orl_sun sun = orl_panorama_sun(&s->sky);
+        if (o->moved) {
+            sun.az = world + (float)o->sun_az * DEG;
+            sun.el = (float)o->sun_el * DEG;
+            sun.moved = 1;
+        }
+        orl_relight_init(&s->view, &s->scene.light, &s->sky, &sun, &s->light);
+        e = ends(o->out, ".exr") ? write_layers(s, R) : write_display(s);
+    }
+    free(s->linear); free(s->scratch); free(s->block);
+    orl_image_free(&s->rgb);
+    orl_panorama_close(&s->sky);
+    orl_scene_close(&s->scene);
+    free(s);
+    return e;
+}
+
+/* LATITUDE[,DAY], DAY a number or MM-DD. */
+static orl_err parse_day(const char *text, orl_day *d)
+{
+    static const int BEFORE[] = { 0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334 }, LENGTH[] = { 31, 29, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31 };
+    int month, day, used = 0;
+    const char *rest = strchr(text, ',');
+    d->day = 81;
+    if (sscanf(text, "%lf%n", &d->latitude, &used) != 1 || !(fabs(d->latitude) <= 90) || text + used != (rest ? rest : text + strlen(text)))
+        return orl_fail(ORL_E_RANGE, "--day %s: not LATITUDE[,DAY] with a latitude in -90..90", text);
+    if (!rest) return ORL_OK;
+    if (sscanf(++rest, "%2d-%2d%n", &month, &day, &used) == 2 && !rest[used] && month >= 1 && month <= 12 && day >= 1 && day <= LENGTH[month - 1]) d->day = BEFORE[month - 1] + day;
+    else if (sscanf(rest, "%3d%n", &d->day, &used) != 1 || rest[used] || d->day < 1 || d->day > 366) return orl_fail(ORL_E_RANGE, "--day %s: the day is neither MM-DD nor in 1..366", text);
+    return ORL_OK;
+}
+
+static orl_err parse_sun(const char *text, options *o)
+{
+    int used = 0;
+    o->moved = 1;
+    if (sscanf(text, "%lf,%lf%n", &o->sun_az, &o->sun_el, &used) == 2 && !text[used] && fabs(o->sun_az) <= 360 && o->sun_el >= 0 && o->sun_el <= 90) return ORL_OK;
+    return orl_fail(ORL_E_RANGE, "--sun %s: not AZIMUTH,ELEVATION with |azimuth| <= 360 and elevation in 0..90", text);
+}
+
+/* What options must not do together. */
+static orl_err check(const options *o)
+{
+    if (!o->scene || !o->sky || !o->out || !o->view.pose == !o->view.colmap || (o->view.colmap && !o->photo)) return orl_fail(ORL_E_RANGE, "wanted are --scene, --sky, -o, and either --pose or --colmap with --photo");
+    int clip = !strcmp(o->out, "-") || ends(o->out, ".y4m");
+    if (clip != o->daily) return orl_fail(ORL_E_RANGE, o->daily ? "-o %s: --day makes a .y4m clip" : "-o %s: a clip is made with --day", o->out);
+    if (o->daily && o->moved) return orl_fail(ORL_E_RANGE, "--sun and --day both move the sun");
+    if (!o->daily && o->directed) return orl_fail(ORL_E_RANGE, "--north and --frames go with --day");
+    return ORL_OK;
+}
 
 static int parse(int argc, char **argv, options *o)
 {
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "sky", required_argument, NULL, 'k' }, { "pose", required_argument, NULL, 'p' }, { "colmap", required_argument, NULL, 'c' },
         { "photo", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "rotate", required_argument, NULL, 'r' },
-        { "sun", required_argument, NULL, 'S' }, { "exposure", required_argument, NULL, 'e' }, { "threads", required_argument, NULL, 't' },
-        { "output", required_argument, NULL, 'o' }, { "help", no_argument, NULL, 'h' }, { 0 } };
-    int first = 1, used = 0;
+        { "sun", required_argument, NULL, 'S' }, { "day", required_argument, NULL, 'd' }, { "north", required_argument, NULL, 'N' }, { "frames", required_argument, NULL, 'f' },
+        { "tone", required_argument, NULL, 'T' }, { "exposure", required_argument, NULL, 'e' }, { "threads", required_argument, NULL, 't' }, { "output", required_argument, NULL, 'o' },
+        { "help", no_argument, NULL, 'h' }, { 0 } };
+    int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
         switch (c) {
@@ -335,28 +303,24 @@ static int parse(int argc, char **argv, options *o)
         case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 'r': e = orl_option_real("--rotate", optarg, -360, 360, &o->rotate); break;
         case 'e': e = orl_option_real("--exposure", optarg, -20, 20, &o->exposure); break;
-        case 'S':
-            if (sscanf(optarg, "%lf,%lf%n", &o->sun_az, &o->sun_el, &used) != 2 || optarg[used] || !(fabs(o->sun_az) <= 360) || !(o->sun_el >= 0 && o->sun_el <= 90))
-                e = orl_fail(ORL_E_RANGE, "--sun %s: not AZIMUTH,ELEVATION with |azimuth| <= 360 and elevation in 0..90", optarg);
-            o->moved = 1;
-            break;
+        case 'S': e = parse_sun(optarg, o); break;
+        case 'd': e = parse_day(optarg, &o->day); o->daily = 1; break;
+        case 'N': e = orl_option_real("--north", optarg, -360, 360, &o->north); o->directed = 1; break;
+        case 'f': e = orl_option_int("--frames", optarg, 1, 1 << 20, &o->frames); o->directed = 1; break;
+        case 'T': o->tone = optarg; break;
         case 't': e = orl_option_int("--threads", optarg, 0, 64, &o->threads); break;
         case 'o': o->out = optarg; break;
         case 'h': printf("%s", HELP); return -1;
         default: return ORL_EXIT_USAGE;
         }
     }
-    if (e) return ORL_EXIT_USAGE;
-    if (argc != optind || !o->scene || !o->sky || !o->out || !o->view.pose == !o->view.colmap || (o->view.colmap && !o->photo)) {
-        orl_fail(ORL_E_RANGE, "wanted are --scene, --sky, -o, and either --pose or --colmap with --photo");
-        return ORL_EXIT_USAGE;
-    }
-    return ORL_EXIT_DONE;
+    if (!e && argc != optind) e = orl_fail(ORL_E_RANGE, "%s: not an option", argv[optind]);
+    return e || check(o) ? ORL_EXIT_USAGE : ORL_EXIT_DONE;
 }
 
 int orl_cmd_relight(int argc, char **argv)
 {
-    options o = { .view.otherwise = 1 };
+    options o = { .view.otherwise = 1, .north = 90, .frames = 125 };
     int code = parse(argc, argv, &o);
     if (code) return code < 0 ? ORL_EXIT_DONE : code;
     return relight(&o) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;

@@ -1,0 +1,131 @@
+/* Re-lighting by a panorama (runtime/relight.h): orl_relight_set -> per pixel layers -> linear picture -> display. */
+#include "runtime/relight.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "oriel/math.h"
+#include "oriel/parallel.h"
+
+#define PI 3.14159265f
+#define PROBE 0.25f                     /* base colour that irradiance is measured by: dark, to stay clear of the encoding's upper end */
+enum { GRAIN = 8 };
+
+static float luminance(const float *c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
+
+void orl_relight_set(orl_relight *r, const orl_sun *sun)
+{
+    float env[ORL_ENV][3], code[ORL_CODE];
+    r->sun = *sun;
+    orl_panorama_env(r->sky, sun, env);
+    for (int i = 0; i < ORL_ENV; i++) for (int k = 0; k < 3; k++) env[i][k] *= r->level;
+    memcpy(code, r->model->prior_mean, sizeof code);
+    memset(code + ORL_C_TONE, 0, ORL_TONE_DIM * sizeof *code);
+    code[ORL_C_SUN_AZ] = sun->az;
+    code[ORL_C_SUN_EL] = sun->el;
+    for (int k = 0; k < 3; k++) code[ORL_C_SUN_RGB + k] = orl_logf(sun->rgb[k] * r->level);
+    orl_light_from_env(r->model, (const float (*)[3])env, code, &r->light);
+}
+
+void orl_relight_init(const orl_view *view, const orl_light_model *model, const orl_panorama *sky, const orl_sun *sun, orl_relight *out)
+{
+    float up[3];
+    out->view = view;
+    out->model = model;
+    out->sky = sky;
+    out->level = 1;
+    orl_relight_set(out, sun);
+    orl_light_esky(&out->light, (const float[]) { 0, 0, 1 }, up);
+    for (int k = 0; k < 3; k++) up[k] += sun->rgb[k] * orl_sinf(sun->el);
+    out->level = luminance(up) > 0 ? PI / luminance(up) : 1;
+    orl_relight_set(out, sun);
+}
+
+static float learned_shadow(const orl_light *l, const orl_sample *p)
+{
+    float x = ORL_SHADOW_BIAS;
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) x += l->code[ORL_C_SHADOW + k] * p->phi[k];
+    return 1 / (1 + orl_expf(-x));
+}
+
+/* The light model gives colours; a surface of known base colour makes irradiance of them. */
+void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out)
+{
+    orl_sample p;
+    float e[3], far[3] = { 0 };
+    memset(&p, 0, sizeof p);
+    memset(out, 0, sizeof *out);
+    orl_view_sample(r->view, x, y, &p);
+    out->cov = p.cov;
+    if (p.cov < 1) orl_panorama_look(r->sky, &r->sun, p.dir, far);
+    if (p.cov > 0) {
+        memcpy(out->albedo, p.albedo, sizeof p.albedo);
+        memcpy(out->normal, p.normal, sizeof p.normal);
+        out->shadow = learned_shadow(&r->light, &p) * orl_light_sun_visibility(&r->light, p.horizon);
+        p.albedo[0] = p.albedo[1] = p.albedo[2] = PROBE;
+        p.cov = 1;
+        orl_light_shade(&r->light, &p, e);
+        for (int c = 0; c < 3; c++) out->irradiance[c] = orl_light_decode_srgb(e[c]) * (PI / PROBE) / r->level;
+    }
+    for (int c = 0; c < 3; c++) {
+        out->sky[c] = (1 - out->cov) * far[c];
+        out->rgb[c] = out->cov * out->albedo[c] * out->irradiance[c] * (1 / PI) + out->sky[c];
+    }
+}
+
+typedef struct { const orl_relight *r; float *linear; const float *from; float gain; const orl_tone *tone; uint8_t *rgb; } job;
+
+static void linear_rows(void *user, int begin, int end)
+{
+    job *j = user;
+    orl_layers l;
+    for (int y = begin; y < end; y++)
+        for (int x = 0; x < j->r->view->w; x++) {
+            orl_relight_pixel(j->r, x, y, &l);
+            memcpy(j->linear + ((size_t)y * (size_t)j->r->view->w + (size_t)x) * 3, l.rgb, sizeof l.rgb);
+        }
+}
+
+void orl_relight_linear(const orl_relight *r, int threads, float *linear)
+{
+    job j = { .r = r, .linear = linear };
+    orl_parallel(threads, r->view->h, GRAIN, linear_rows, &j);
+}
+
+static void display_rows(void *user, int begin, int end)
+{
+    job *j = user;
+    const orl_tone *t = j->tone;
+    size_t w = (size_t)j->r->view->w;
+    for (size_t i = (size_t)begin * w; i < (size_t)end * w; i++) {
+        float e[3];
+        for (int c = 0; c < 3; c++) e[c] = orl_light_encode(j->from[3 * i + (size_t)c] * j->gain);
+        for (int c = 0; c < 3; c++) {
+            float d = t->a[c][0] * e[0] + t->a[c][1] * e[1] + t->a[c][2] * e[2] + t->b[c];
+            j->rgb[3 * i + (size_t)c] = (uint8_t)((d > 0 ? d < 1 ? d : 1 : 0) * 255 + 0.5f);
+        }
+    }
+}
+
+void orl_relight_display(const orl_relight *r, int threads, const float *linear, float gain, const orl_tone *tone, uint8_t *rgb)
+{
+    job j = { .r = r, .from = linear, .gain = gain, .tone = tone, .rgb = rgb };
+    orl_parallel(threads, r->view->h, GRAIN, display_rows, &j);
+}
+
+static int by_value(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+float orl_relight_bright(const orl_relight *r, const float *linear, float *scratch)
+{
+    const orl_view *v = r->view;
+    size_t n = 0;
+    for (int y = 0; y < v->h; y++)
+        for (int x = 0; x < v->w; x++)
+            if (v->cov[(size_t)y * (size_t)v->stride + (size_t)x] == 255) scratch[n++] = luminance(linear + ((size_t)y * (size_t)v->w + (size_t)x) * 3);
+    if (!n) return 0;
+    qsort(scratch, n, sizeof *scratch, by_value);
+    return scratch[n * 95 / 100];
+}
