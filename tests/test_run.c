@@ -10,29 +10,8 @@
 #include <unistd.h>
 #include "oriel/cpu.h"
 #include "runtime/run.h"
+#include "tests/allocations.h"
 #include "tests/synth_scene.h"
-
-/* Counts every allocation of the process, unless a sanitizer owns them. */
-#ifndef __has_feature
-#define __has_feature(x) 0
-#endif
-#if defined(__SANITIZE_ADDRESS__) || __has_feature(address_sanitizer)
-#define COUNTING 0
-static long allocations;
-#else
-#define COUNTING 1
-static _Atomic long allocations;
-void *__libc_malloc(size_t n);
-void *__libc_calloc(size_t n, size_t m);
-void *__libc_realloc(void *p, size_t n);
-void *__libc_memalign(size_t a, size_t n);
-void *malloc(size_t n) { allocations++; return __libc_malloc(n); }
-void *calloc(size_t n, size_t m) { allocations++; return __libc_calloc(n, m); }
-void *realloc(void *p, size_t n) { allocations++; return __libc_realloc(p, n); }
-void *aligned_alloc(size_t a, size_t n) { allocations++; return __libc_memalign(a, n); }
-void *memalign(size_t a, size_t n) { allocations++; return __libc_memalign(a, n); }
-int posix_memalign(void **p, size_t a, size_t n) { allocations++; return (*p = __libc_memalign(a, n)) ? 0 : ENOMEM; }
-#endif
 
 enum { W = 96, H = 64, FRAMES = 8, JUMP = 5 };
 
