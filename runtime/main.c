@@ -11,7 +11,7 @@
 static const struct { const char *name, *what; int (*run)(int, char **); } COMMANDS[] = {
     { "info", "what is in a scene file", orl_cmd_info },
     { "extend", "one photo, widened", orl_cmd_extend },
-    { "relight", "the scene under a chosen sky", orl_cmd_relight },
+    { "relight", "the scene under a chosen sky, or over a day", orl_cmd_relight },
     { "run", "camera loop: source -> widened pictures -> sink", orl_cmd_run },
 };
 enum { COUNT = sizeof COMMANDS / sizeof *COMMANDS };

@@ -142,6 +142,15 @@ static void sun_is_seen_where_it_stands(void **state)
             whole += 0.5 * (double)BLUE[0] * 0.0005 * 0.0005;
         }
     NEAR((disc - whole) / (0.5 * (double)p->rgb[0]), 1, 0.03);
+    for (int y = -1; y <= 1; y++)                                   /* a spot 3 degrees to the sun's left goes along on its left */
+        for (int x = -1; x <= 1; x++) {
+            int px = (int)((0.5 - (-60 + 3 / cos(50 * RAD)) / 360) * SKY_W) + x, py = (int)((0.5 - 50.0 / 180) * SKY_H) + y;
+            for (int k = 0; k < 3; k++) p->map.px[(py * SKY_W + px) * 3 + k] = 500;
+        }
+    look(p, &moved, (double)moved.az + 3 * RAD / cos(0.2), 0.2, rgb);
+    NEAR((double)rgb[0], 250, 20);
+    look(p, &moved, (double)moved.az - 3 * RAD / cos(0.2), 0.2, rgb);
+    NEAR((double)rgb[0], 0.5 * (double)BLUE[0], 0.01);
     orl_panorama_close(p);
     free(p);
 }
