@@ -8,6 +8,7 @@
 #include <string.h>
 #include "oriel/image.h"
 #include "trainer/commands.h"
+#include "trainer/table.h"
 
 void text_add(text *t, const char *fmt, ...)
 {
@@ -54,110 +55,152 @@ double plot_ticks(double lo, double hi, int most, double *first)
     return step;
 }
 
-static int shown(const plot_series *s, int i, const plot_style *st) { return isfinite(s->x[i]) && isfinite(s->y[i]) && (!st->log_x || s->x[i] > 0); }
-
 enum { LEFT = 56, RIGHT = 16, TOP = 34, BOTTOM = 46 };
 static const char *const COLOURS[] = { "#2563eb", "#d9730d", "#0f9d78", "#9d4edd", "#c2255c", "#64748b" };
 
-void plot_svg(text *out, const plot_series *series, int n, const plot_style *st)
+typedef struct { text *out; const plot_style *st; double x0, x1, y0, y1, pw, ph; } canvas;     /* ranges: of logarithms where an axis has them */
+
+static double on_axis(double v, int log) { return log ? log10(v) : v; }
+static double at_x(const canvas *c, double v) { return LEFT + c->pw * (v - c->x0) / (c->x1 - c->x0); }
+static double at_y(const canvas *c, double v) { return TOP + c->ph * (c->y1 - v) / (c->y1 - c->y0); }
+static int shown(const plot_series *s, int i, const plot_style *st) { return isfinite(s->x[i]) && isfinite(s->y[i]) && (!st->log_x || s->x[i] > 0) && (!st->log_y || s->y[i] > 0); }
+
+static void widen(double *lo, double *hi, double least)         /* a range that is a point */
 {
-    double x0 = INFINITY, x1 = -INFINITY, y0 = INFINITY, y1 = -INFINITY, tick;
+    if (*hi - *lo >= 1e-9 * fmax(1, fabs(*lo))) return;
+    *lo -= least;
+    *hi += least;
+}
+
+static void find_ranges(canvas *c, const plot_series *series, int n)
+{
+    const plot_style *st = c->st;
+    c->x0 = c->y0 = INFINITY;
+    c->x1 = c->y1 = -INFINITY;
     for (int k = 0; k < n; k++)
         for (int i = 0; i < series[k].n; i++) {
             if (!shown(&series[k], i, st)) continue;
-            double x = st->log_x ? log10(series[k].x[i]) : series[k].x[i], y = series[k].y[i];
-            x0 = fmin(x0, x); x1 = fmax(x1, x);
-            y0 = fmin(y0, y); y1 = fmax(y1, y);
+            double x = on_axis(series[k].x[i], st->log_x), y = on_axis(series[k].y[i], st->log_y);
+            c->x0 = fmin(c->x0, x); c->x1 = fmax(c->x1, x);
+            c->y0 = fmin(c->y0, y); c->y1 = fmax(c->y1, y);
         }
-    if (!(x0 <= x1)) { x0 = y0 = 0; x1 = y1 = 1; }
-    if (x1 - x0 < 1e-9 * fmax(1, fabs(x0))) { double d = st->log_x ? 0.3 : fmax(fabs(x0), 1) * 0.1; x0 -= d; x1 += d; }
-    if (y1 - y0 < 1e-9 * fmax(1, fabs(y0))) { double d = fmax(fabs(y0), 1) * 0.1; y0 -= d; y1 += d; }
-    if (st->log_x) { x0 -= 0.03 * (x1 - x0); x1 += 0.03 * (x1 - x0); }
-    double step = plot_ticks(y0, y1, 6, &tick), pw = st->w - LEFT - RIGHT, ph = st->h - TOP - BOTTOM;
-    y0 = tick;
-    y1 = ceil(y1 / step - 1e-9) * step;
-#define PX(v) (LEFT + pw * ((v) - x0) / (x1 - x0))
-#define PY(v) (TOP + ph * (y1 - (v)) / (y1 - y0))
-    text_add(out, "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %d\" role=\"img\" font-family=\"system-ui,-apple-system,'Segoe UI',sans-serif\" font-size=\"12\" fill=\"#475569\">\n<title>", st->w, st->h);
-    text_escape(out, st->title ? st->title : "plot");
-    text_add(out, "</title>\n<rect width=\"%d\" height=\"%d\" fill=\"#fff\"/>\n", st->w, st->h);
-    for (double v = y0; v <= y1 + 0.5 * step; v += step)
-        text_add(out, "<path d=\"M%d %.1fH%d\" stroke=\"#e2e8f0\"/><text x=\"%d\" y=\"%.1f\" text-anchor=\"end\">%.6g</text>\n", LEFT, PY(v), st->w - RIGHT, LEFT - 8, PY(v) + 4, fabs(v) < 1e-9 * step ? 0 : v);
-    if (st->log_x) {
-        double wide = x1 - x0;
-        for (int d = (int)floor(x0); d <= (int)ceil(x1) && wide < 40; d++)
-            for (int m = 1; m <= 5; m += m == 1 ? 1 : 3) {
-                double v = d + log10(m);
-                if (v < x0 || v > x1 || (m > 1 && wide > 3)) continue;
-                text_add(out, "<path d=\"M%.1f %dV%.1f\" stroke=\"#f1f5f9\"/><text x=\"%.1f\" y=\"%d\" text-anchor=\"middle\">%.6g</text>\n", PX(v), TOP, TOP + ph, PX(v), st->h - BOTTOM + 18, m * pow(10, d));
-            }
+    if (!(c->x0 <= c->x1)) { c->x0 = c->y0 = 0; c->x1 = c->y1 = 1; }
+    widen(&c->x0, &c->x1, st->log_x ? 0.3 : fmax(fabs(c->x0), 1) * 0.1);
+    widen(&c->y0, &c->y1, st->log_y ? 0.3 : fmax(fabs(c->y0), 1) * 0.1);
+    if (st->log_x) { c->x0 -= 0.03 * (c->x1 - c->x0); c->x1 += 0.03 * (c->x1 - c->x0); }
+}
+
+static void x_tick(const canvas *c, double v, double shown, int line)
+{
+    double x = at_x(c, v);
+    if (line) text_add(c->out, "<path d=\"M%.1f %dV%.1f\" stroke=\"#f1f5f9\"/>", x, TOP, TOP + c->ph);
+    text_add(c->out, "<text x=\"%.1f\" y=\"%d\" text-anchor=\"middle\">%.6g</text>\n", x, c->st->h - BOTTOM + 18, shown);
+}
+
+static void y_tick(const canvas *c, double v, double shown)
+{
+    double y = at_y(c, v);
+    text_add(c->out, "<path d=\"M%d %.1fH%d\" stroke=\"#e2e8f0\"/><text x=\"%d\" y=\"%.1f\" text-anchor=\"end\">%.6g</text>\n", LEFT, y, c->st->w - RIGHT, LEFT - 8, y + 4, shown);
+}
+
+/* 1, 2, 5 times powers of ten; the powers alone on a long axis, none on one that is too long. y: else x. */
+static void log_ticks(const canvas *c, int y)
+{
+    double lo = y ? c->y0 : c->x0, hi = y ? c->y1 : c->x1, wide = hi - lo;
+    for (int d = (int)floor(lo); d <= (int)ceil(hi) && wide < 40; d++)
+        for (int m = 1; m <= 5; m += m == 1 ? 1 : 3) {
+            double v = d + log10(m);
+            if (v < lo - 1e-9 || v > hi + 1e-9 || (m > 1 && wide > (y ? 2 : 3))) continue;
+            if (y) y_tick(c, v, m * pow(10, d));
+            else x_tick(c, v, m * pow(10, d), 1);
+        }
+}
+
+/* Ranges grow to whole steps in y. */
+static void add_axes(canvas *c)
+{
+    double tick, step;
+    if (c->st->log_y) {
+        c->y0 = floor(c->y0 + 1e-9);
+        c->y1 = ceil(c->y1 - 1e-9);
+        log_ticks(c, 1);
     } else {
-        double xs = plot_ticks(x0, x1, 8, &tick);
-        for (double v = tick; v <= x1 + 1e-6 * xs; v += xs)
-            if (v >= x0 - 1e-6 * xs) text_add(out, "<text x=\"%.1f\" y=\"%d\" text-anchor=\"middle\">%.6g</text>\n", PX(v), st->h - BOTTOM + 18, fabs(v) < 1e-9 * xs ? 0 : v);
+        step = plot_ticks(c->y0, c->y1, 6, &tick);
+        c->y0 = tick;
+        c->y1 = ceil(c->y1 / step - 1e-9) * step;
+        for (double v = c->y0; v <= c->y1 + 0.5 * step; v += step) y_tick(c, v, fabs(v) < 1e-9 * step ? 0 : v);
     }
-    text_add(out, "<path d=\"M%d %dV%.1fH%d\" fill=\"none\" stroke=\"#94a3b8\"/>\n", LEFT, TOP, TOP + ph, st->w - RIGHT);
+    if (c->st->log_x) {
+        log_ticks(c, 0);
+    } else {
+        step = plot_ticks(c->x0, c->x1, 8, &tick);
+        for (double v = tick; v <= c->x1 + 1e-6 * step; v += step) if (v >= c->x0 - 1e-6 * step) x_tick(c, v, fabs(v) < 1e-9 * step ? 0 : v, 0);
+    }
+    text_add(c->out, "<path d=\"M%d %dV%.1fH%d\" fill=\"none\" stroke=\"#94a3b8\"/>\n", LEFT, TOP, TOP + c->ph, c->st->w - RIGHT);
+}
+
+static void add_line(const canvas *c, const plot_series *s, const char *colour)
+{
+    const plot_style *st = c->st;
+    const char *go = "M";
+    text_add(c->out, "<path fill=\"none\" stroke=\"%s\" stroke-width=\"2\" stroke-linejoin=\"round\" d=\"", colour);
+    for (int i = 0; i < s->n; i++) {
+        if (!shown(s, i, st)) continue;
+        text_add(c->out, "%s%.1f %.1f", go, at_x(c, on_axis(s->x[i], st->log_x)), at_y(c, on_axis(s->y[i], st->log_y)));
+        go = "L";
+    }
+    text_add(c->out, "\"/>\n");
+    for (int i = 0; st->dots && i < s->n; i++)
+        if (shown(s, i, st))
+            text_add(c->out, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\"><title>%.4g, %.4g</title></circle>\n", at_x(c, on_axis(s->x[i], st->log_x)), at_y(c, on_axis(s->y[i], st->log_y)), colour, s->x[i],
+                     s->y[i]);
+}
+
+/* The series' names, in two columns where they are many. Bottom right: curves that rise leave room there; top right for those that fall. */
+static void add_key(const canvas *c, const plot_series *series, int n)
+{
+    int columns = n > 4 ? 2 : 1, rows = (n + columns - 1) / columns;
     for (int k = 0; k < n; k++) {
-        const char *colour = COLOURS[k % (int)(sizeof COLOURS / sizeof *COLOURS)], *go = "M";
-        text_add(out, "<path fill=\"none\" stroke=\"%s\" stroke-width=\"2\" stroke-linejoin=\"round\" d=\"", colour);
-        for (int i = 0; i < series[k].n; i++) {
-            if (!shown(&series[k], i, st)) continue;
-            double x = st->log_x ? log10(series[k].x[i]) : series[k].x[i];
-            text_add(out, "%s%.1f %.1f", go, PX(x), PY(series[k].y[i]));
-            go = "L";
-        }
-        text_add(out, "\"/>\n");
-        for (int i = 0; st->dots && i < series[k].n; i++) {
-            if (!shown(&series[k], i, st)) continue;
-            double x = st->log_x ? log10(series[k].x[i]) : series[k].x[i];
-            text_add(out, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\"><title>%.4g, %.4g</title></circle>\n", PX(x), PY(series[k].y[i]), colour, series[k].x[i], series[k].y[i]);
-        }
-        if (n < 2) continue;
-        double lx = LEFT + 12 + pw * 0.55, ly = TOP + ph - 14 - 17.0 * (n - 1 - k);     /* bottom right: curves that rise leave room there */
-        text_add(out, "<path d=\"M%.1f %.1fh18\" stroke=\"%s\" stroke-width=\"3\"/><text x=\"%.1f\" y=\"%.1f\" fill=\"#1e293b\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\">", lx, ly - 4, colour, lx + 25, ly);
-        text_escape(out, series[k].name);
-        text_add(out, "</text>\n");
+        const char *colour = COLOURS[k % (int)(sizeof COLOURS / sizeof *COLOURS)];
+        double x = LEFT + 12 + c->pw * (columns == 1 || k >= rows ? 0.55 : 0.05), y = c->st->key_above ? TOP + 14 + 17.0 * (k % rows) : TOP + c->ph - 10 - 17.0 * (rows - 1 - k % rows);
+        text_add(c->out, "<path d=\"M%.1f %.1fh18\" stroke=\"%s\" stroke-width=\"3\"/><text x=\"%.1f\" y=\"%.1f\" fill=\"#1e293b\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\">", x, y - 4, colour, x + 25, y);
+        text_escape(c->out, series[k].name);
+        text_add(c->out, "</text>\n");
     }
-    if (st->title) {
-        text_add(out, "<text x=\"%d\" y=\"20\" font-size=\"14\" font-weight=\"600\" fill=\"#1e293b\">", LEFT);
-        text_escape(out, st->title);
-        text_add(out, "</text>\n");
-    }
-    if (st->x_label) {
-        text_add(out, "<text x=\"%.1f\" y=\"%d\" text-anchor=\"middle\">", LEFT + pw / 2, st->h - 8);
-        text_escape(out, st->x_label);
-        text_add(out, "</text>\n");
-    }
-    if (st->y_label) {
-        text_add(out, "<text transform=\"translate(14 %.1f)rotate(-90)\" text-anchor=\"middle\">", TOP + ph / 2);
-        text_escape(out, st->y_label);
-        text_add(out, "</text>\n");
-    }
-    text_add(out, "</svg>\n");
-#undef PX
-#undef PY
+}
+
+static void add_text(const canvas *c, const char *attributes, const char *s)
+{
+    if (!s) return;
+    text_add(c->out, "<text %s>", attributes);
+    text_escape(c->out, s);
+    text_add(c->out, "</text>\n");
+}
+
+void plot_svg(text *out, const plot_series *series, int n, const plot_style *st)
+{
+    canvas c = { .out = out, .st = st, .pw = st->w - LEFT - RIGHT, .ph = st->h - TOP - BOTTOM };
+    char at[120];
+    find_ranges(&c, series, n);
+    text_add(out, "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %d\" role=\"img\">\n<title>", st->w, st->h);
+    text_escape(out, st->title ? st->title : "plot");
+    text_add(out, "</title>\n<g font-family=\"system-ui,-apple-system,'Segoe UI',sans-serif\" font-size=\"12\" fill=\"#475569\">\n<rect width=\"%d\" height=\"%d\" fill=\"#fff\"/>\n", st->w, st->h);
+    add_axes(&c);
+    for (int k = 0; k < n; k++) add_line(&c, &series[k], COLOURS[k % (int)(sizeof COLOURS / sizeof *COLOURS)]);
+    if (n > 1) add_key(&c, series, n);
+    snprintf(at, sizeof at, "x=\"%d\" y=\"20\" font-size=\"14\" font-weight=\"600\" fill=\"#1e293b\"", LEFT);
+    add_text(&c, at, st->title);
+    snprintf(at, sizeof at, "x=\"%.1f\" y=\"%d\" text-anchor=\"middle\"", LEFT + c.pw / 2, st->h - 8);
+    add_text(&c, at, st->x_label);
+    snprintf(at, sizeof at, "transform=\"translate(14 %.1f)rotate(-90)\" text-anchor=\"middle\"", TOP + c.ph / 2);
+    add_text(&c, at, st->y_label);
+    text_add(out, "</g>\n</svg>\n");
 }
 
 /* ---- command ---- */
 
 enum { MOST_SERIES = 32 };
 typedef struct { plot_series series[MOST_SERIES]; int n; char *x_label, *y_label; } table;
-
-/* Cuts the next field off a line. */
-static char *field(char **line)
-{
-    char *s = *line, *end = s ? strchr(s, '\t') : NULL;
-    if (end) *end = 0;
-    *line = end ? end + 1 : NULL;
-    return s;
-}
-
-static int numeric(const char *s, double *v)
-{
-    char *end;
-    *v = strtod(s, &end);
-    return end != s && !*end && isfinite(*v);
-}
 
 /* Lines `series TAB x TAB y`, the first of which may name the axes instead. bytes: cut up here, and referred to; room: four numbers a line. */
 static orl_err read_table(char *bytes, const char *path, double *room, table *t)
@@ -166,16 +209,14 @@ static orl_err read_table(char *bytes, const char *path, double *room, table *t)
     for (char *s = bytes; *s; s++) lines += *s == '\n';
     double *x = room, *y = room + lines + 1;
     int *of = (int *)(room + 2 * (lines + 1));
-    for (char *s = bytes, *next; s && *s; s = next) {
+    for (char *s, *next = bytes; (s = table_line(&next));) {
         double v[2];
         int k = 0;
-        if ((next = strchr(s, '\n'))) *next++ = 0;
         line++;
-        if (*s && s[strlen(s) - 1] == '\r') s[strlen(s) - 1] = 0;
         if (!*s || *s == '#') continue;
-        char *rest = s, *name = field(&rest), *a = field(&rest), *b = field(&rest);
+        char *rest = s, *name = table_field(&rest), *a = table_field(&rest), *b = table_field(&rest);
         if (!a || !b || rest) return orl_fail(ORL_E_FORMAT, "%s: line %d: three columns wanted: series, x, y", path, line);
-        if (!numeric(a, &v[0]) || !numeric(b, &v[1])) {
+        if (!table_number(a, &v[0]) || !table_number(b, &v[1])) {
             if (n || t->x_label) return orl_fail(ORL_E_FORMAT, "%s: line %d: x or y is no number", path, line);
             t->x_label = a;
             t->y_label = b;

@@ -12,8 +12,8 @@ orl_err text_write(const text *t, const char *path);
 void text_free(text *t);
 
 typedef struct { const char *name; const double *x, *y; int n; } plot_series;   /* in drawing order; points that are not finite, or not positive on a logarithmic axis, are left out */
-typedef struct { const char *title, *x_label, *y_label; int log_x, dots, w, h; } plot_style;   /* labels may be NULL; dots: a mark on each point; w, h: units of the view box */
-/* An <svg> element. Ticks at 1, 2, 5 times powers of ten; a legend if there are several series. */
+typedef struct { const char *title, *x_label, *y_label; int log_x, log_y, dots, key_above, w, h; } plot_style;   /* labels may be NULL; dots: a mark on each point; key_above: the key at the top; w, h: units of the view box */
+/* An <svg> element. Ticks at 1, 2, 5 times powers of ten; a key if there are several series. */
 void plot_svg(text *out, const plot_series *series, int n, const plot_style *style);
 /* Ticks that cover [lo, hi] with at most `most` steps: step and the first one at or below lo. */
 double plot_ticks(double lo, double hi, int most, double *first);
