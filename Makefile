@@ -4,6 +4,7 @@
 #   make test         everything that CI runs; `make test SAN=1` under ASan and UBSan
 #   make bench        run time against error, kernels against memcpy
 #   make curves       PSNR against CPU minutes beside the NeRF-W baseline (hours; goes on where it was stopped); SCENES="FOLDER..."
+#   make ablation     what each part of the light model is worth (an hour; goes on where it was stopped); SCENE=FOLDER, CHECKPOINT=FILE of a finished fit
 #   make deps         Debian packages by name (nothing when all are there)
 #   make BOARD=rpi4   the runtime for aarch64 (boards/*.mk); also rpi5
 #   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native  MPI= (without MPI, though mpicc is there)
@@ -88,8 +89,10 @@ bench: tests
 SCENES ?= ../shared/data/basilica ../shared/data/reichstag
 curves: all
 	@tests/curves.sh $B $(SCENES)
+ablation: all
+	@tests/ablation.sh $B "$(SCENE)" $(CHECKPOINT)
 clean:
 	rm -rf build
-.PHONY: all tests deps test demo bench curves clean
+.PHONY: all tests deps test demo bench curves ablation clean
 .SECONDARY:
 -include $(shell find $B/obj -name '*.d' 2>/dev/null)
