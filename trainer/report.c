@@ -91,7 +91,7 @@ static const char STYLE[] =
     ".light{display:grid;grid-template-columns:180px 1fr;gap:1.25rem;align-items:start}.light img{border-radius:50%}dl{margin:0;font-size:.9rem;display:grid;grid-template-columns:auto 1fr;gap:.35rem .9rem}dt{color:var(--soft)}dd{margin:0}\n"
     ".legend{max-width:110ch}.chip{display:inline-block;width:1.1em;height:1.1em;border-radius:3px;vertical-align:-.2em;margin-right:.4em;border:1px solid var(--line)}\n"
     ".tone{display:block;margin:.3rem 0;line-height:0}.tone span{display:block}.tone i{display:inline-block;width:2.2rem;height:1.1rem}code{white-space:pre-line;font-size:.82rem;color:var(--soft);font-variant-numeric:tabular-nums}\n"
-    "@media(max-width:760px){.six{grid-template-columns:repeat(3,1fr)}.three{grid-template-columns:repeat(2,1fr)}.light{grid-template-columns:1fr}.light figure{max-width:180px}dl{grid-template-columns:1fr}dt{margin-top:.4rem}}\n"
+    "@media(max-width:760px){.six{grid-template-columns:repeat(3,1fr)}.three{grid-template-columns:repeat(2,1fr)}.light{grid-template-columns:1fr}.light figure{max-width:180px}th,td{padding:.3rem .45rem}.ablation td:first-child{min-width:8.5rem;white-space:normal}.bar{min-width:4rem;width:4rem}dl{grid-template-columns:1fr}dt{margin-top:.4rem}}\n"
     "@media print{article{break-inside:avoid}}";
 
 static void add_head(page *p, text *out, int train)

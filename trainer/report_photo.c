@@ -40,10 +40,10 @@ static void add_light(text *t, const orl_light *l, double heading)
     float e[3];
     orl_light_esky(l, UP, e);
     double sky[3] = { e[0], e[1], e[2] }, sun[3] = { l->sun_rgb[0], l->sun_rgb[1], l->sun_rgb[2] }, high = asin(fmin(fmax(l->sun_dir[2], -1), 1)), azimuth = atan2(l->sin_az, l->cos_az);
-    double ratio = mean(sun) * fmax(l->sun_dir[2], 0) / fmax(mean(sky), 1e-9);
+    double ratio = mean(sun) / fmax(mean(sky), 1e-9);
     text_add(t, "<dt>Sun</dt><dd>%s, azimuth %.0f&deg;, elevation %.0f&deg;; ", side_of(azimuth, heading), azimuth * DEGREES, high * DEGREES);
     add_colour(t, sun);
-    text_add(t, "; %s: open level ground gets %.*f times as much light from it as from the sky</dd>\n", ratio < 0.1 ? "next to no sun" : ratio < 0.7 ? "a weak sun" : "a strong sun", ratio < 10 ? 2 : 0, fmin(ratio, 9999));
+    text_add(t, "; %s: what faces it gets %.*f times the light that open level ground gets from the sky</dd>\n", ratio < 0.1 ? "next to no sun" : ratio < 1 ? "a weak sun" : "a strong sun", ratio < 10 ? 2 : 0, fmin(ratio, 9999));
     text_add(t, "<dt>Sky</dt><dd>");
     add_colour(t, sky);
     text_add(t, ", as level ground sees it</dd>\n");

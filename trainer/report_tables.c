@@ -43,7 +43,7 @@ void report_add_scores(page *p)
     if (!p->ntest) return;
     report_section(p, "scores", "Scores");
     text_add(t, "<div class=\"scroll\">\n<table>\n<tr><th></th><th colspan=\"3\">right half</th><th colspan=\"3\">whole photo</th></tr>\n"
-                "<tr><th>mean over %d test photos</th><th>PSNR</th><th>SSIM</th><th>FLIP</th><th>PSNR</th><th>SSIM</th><th>FLIP</th></tr>\n", p->ntest);
+                "<tr><th>mean over %d test photo%s</th><th>PSNR</th><th>SSIM</th><th>FLIP</th><th>PSNR</th><th>SSIM</th><th>FLIP</th></tr>\n", p->ntest, p->ntest > 1 ? "s" : "");
     for (int k = 0; k < EVAL_COLUMNS; k++) {
         const orl_score *r = &mean.right[k], *f = &mean.full[k];
         if (mean.has[k])
