@@ -39,9 +39,21 @@ static void drawing(void **state)
         assert_non_null(strstr(t.s, tick));
     }
     text_free(&t);
+    const double small[] = { 0, 0.002, 0.3, -1, 0.05 };
+    const plot_series fall[] = { { "a", x, small, 5 }, { "b", x, small, 0 }, { "c", x, small, 0 }, { "d", x, small, 0 }, { "e", x, small, 0 } };
+    plot_svg(&t, fall, 5, &(plot_style){ .log_y = 1, .dots = 1, .key_above = 1, .w = 400, .h = 300 });
+    assert_int_equal(count(t.s, "<circle"), 3);             /* 0 and -1 have no logarithm */
+    for (int d = 1; d <= 1000; d *= 10) {
+        char tick[40];
+        snprintf(tick, sizeof tick, ">%.6g</text>", 1.0 / d);
+        assert_int_equal(count(t.s, tick), 1);
+    }
+    assert_null(strstr(t.s, ">0.5</text>"));                /* three decades: powers of ten alone */
+    assert_null(strstr(t.s, "nan"));
+    text_free(&t);
     const plot_series one = { "", x, y, 1 }, none = { "", x, y, 0 };
     plot_svg(&t, &one, 1, &(plot_style){ .w = 400, .h = 300 });
-    plot_svg(&t, &none, 1, &(plot_style){ .w = 400, .h = 300, .log_x = 1 });
+    plot_svg(&t, &none, 1, &(plot_style){ .w = 400, .h = 300, .log_x = 1, .log_y = 1 });
     assert_null(strstr(t.s, "nan"));
     assert_null(strstr(t.s, "inf"));
     text_free(&t);
