@@ -85,7 +85,7 @@ static const char STYLE[] =
     ".facts b{display:block;font-size:1.2rem;color:var(--strong);font-variant-numeric:tabular-nums}.scroll{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.93rem}\n"
     "th,td{padding:.35rem .8rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}th{color:var(--soft);font-weight:500}th[colspan]{text-align:center}td:first-child,th:first-child{text-align:left}.ours td{font-weight:600}\n"
     ".ablation td b{display:block;font-weight:inherit}.bar{position:relative;width:9rem;min-width:6rem;padding:0;background:linear-gradient(var(--line),var(--line)) center/1px 100% no-repeat}\n"
-    ".bar i{position:absolute;top:30%;height:40%;border-radius:2px}.worse{right:50%;background:var(--worse)}.better{left:50%;background:var(--better)}\n"
+    ".bar i{position:absolute;top:calc(50% - .45rem);height:.9rem;border-radius:2px}.worse{right:50%;background:var(--worse)}.better{left:50%;background:var(--better)}\n"
     ".grid{display:grid;gap:.75rem;margin-bottom:.75rem;align-items:start}.three{grid-template-columns:repeat(3,1fr)}.six{grid-template-columns:repeat(6,1fr)}figure{margin:0}img{width:100%;height:auto;border-radius:5px;display:block;background:var(--card)}\n"
     "figcaption{font-size:.78rem;color:var(--soft);margin-top:.25rem}.plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,400px),1fr));gap:1rem}.plots svg{width:100%;height:auto;border:1px solid var(--line);border-radius:8px}\n"
     ".light{display:grid;grid-template-columns:180px 1fr;gap:1.25rem;align-items:start}.light img{border-radius:50%}dl{margin:0;font-size:.9rem;display:grid;grid-template-columns:auto 1fr;gap:.35rem .9rem}dt{color:var(--soft)}dd{margin:0}\n"
