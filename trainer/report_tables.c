@@ -88,8 +88,8 @@ void report_add_curves(page *p)
 static const char *meaning(const char *variant)
 {
     static const struct { const char *variant, *what; } KNOWN[] = {
-        { "full", "everything" }, { "light paper", "one environment map lights all, sun and sky not apart" }, { "without tone", "no tone matrix" }, { "without shadow", "no learned shadow" },
-        { "without visibility", "the sun goes through walls" }, { "without ground", "no light from the ground" }, { "without distill", "no teaching by stage 1's renders" }, { "without sky-prior", "no prior on what skies look like" } };
+        { "full", "everything" }, { "light paper", "nothing hides sun or sky, and the ground throws nothing back" }, { "without tone", "no tone matrix" }, { "without shadow", "no learned shadow" },
+        { "without visibility", "nothing hides sun or sky" }, { "without ground", "no light from the ground" }, { "without distill", "the photos' own pixels, people and all" }, { "without sky-prior", "no prior of sun and sky" } };
     for (size_t i = 0; i < sizeof KNOWN / sizeof *KNOWN; i++) if (!strcmp(variant, KNOWN[i].variant)) return KNOWN[i].what;
     return "";
 }
