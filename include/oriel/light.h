@@ -8,7 +8,9 @@
  *
  * Environment: 16 x 32 equirectangular; only the 8 upper rows are sky (ORL_ENV = 8 * 32 directions); row r centre elevation = 90 - (r + 0.5) * 180 / 16 degrees;
  * column c centre azimuth relative to the sun = -180 + (c + 0.5) * 360 / 32 degrees. L(w) = exp(clamp(mean(w) + sum_k z_k basis_k(w), -12, 12)), W / m^2 / sr in arbitrary units, sun left out.
- *   E_sky(n)    = sum_w L(w) max(0, n.w) dOmega(w)            by an ORL_OCT x ORL_OCT octahedral table (bilinear), sun-relative frame
+ *   E_sky(n)    = sum_w L(w) max(0, n.w) dOmega(w)            sun-relative frame; F.n + |n_a| G_a(n_b / n_a, n_c / n_a), a the greatest component of n,
+ *                 F = sum_w L(w) w dOmega(w) / 2, G_a a quadratic B-spline fitted to the even half sum_w L(w) |n.w| dOmega(w) / 2 on a cube's face; not below 0; zero for a zero normal;
+ *                 within 0.5 % of its peak over the sphere, 0.03 % rms
  *   E_sun(n)    = exp(sun_rgb) max(0, n.s)
  *   E_ground(n) = ground * (E_sky(up) + E_sun(up)) * (1 - n_z) / 2
  *   s           = sigmoid(ORL_SHADOW_BIAS + sum_k l_s[k] phi_k)
@@ -28,7 +30,8 @@ enum {
     ORL_C_SUN_AZ = 0, ORL_C_SUN_EL = 1, ORL_C_SUN_RGB = 2, ORL_C_ENV = 5, ORL_C_SKY = 13, ORL_C_SHADOW = 17, ORL_C_TONE = 25, ORL_CODE = 37,
     ORL_ENV_DIM = 8, ORL_SKY_DIM = 4, ORL_SHADOW_DIM = 8, ORL_TONE_DIM = 12,
     ORL_ENV_ROWS = 8, ORL_ENV_COLS = 32, ORL_ENV = 256,
-    ORL_OCT = 16, ORL_HORIZON = 16,
+    ORL_IRR_XY = 10, ORL_IRR_Z = 14, ORL_IRR = 3 + 2 * ORL_IRR_XY * ORL_IRR_XY + ORL_IRR_Z * ORL_IRR_Z,      /* F; G on the faces x, y, z */
+    ORL_HORIZON = 16,
     ORL_SKY_Q = 14, ORL_SKY_Y = 9,
 };
 #define ORL_SHADOW_BIAS 1.0f
@@ -64,8 +67,8 @@ typedef struct {
     float sun_dir[3], sun_rgb[3];               /* unit; irradiance at normal incidence */
     float sin_az, cos_az;
     float env[ORL_ENV][3];                      /* radiance, sun-relative */
-    float esky[ORL_OCT * ORL_OCT][3];           /* irradiance table, sun-relative octahedral */
-    float eground[3];                           /* ground * E(up) */
+    float esky[ORL_IRR][4];                     /* F and G of E_sky, R, G, B, 0 */
+    float up[3], eground[3];                    /* E_sky + E_sun of level ground; ground times that */
     float sky_m[3][ORL_SKY_Y];
     float tone_a[3][3], tone_b[3];              /* A = I + A' */
 } orl_light;
@@ -80,7 +83,7 @@ float orl_light_decode_srgb(float encoded);     /* its inverse, clamped to [0, O
 void orl_light_shade(const orl_light *l, const orl_sample *s, float rgb[3]);
 /* Also J[c][k] = d rgb[c] / d code[k]; sky decoder terms by the tables below. scratch: orl_light_jac_decode's output for this light. */
 typedef struct {
-    float desky[ORL_ENV_DIM][ORL_OCT * ORL_OCT][3];  /* d esky / d z_k */
+    float desky[ORL_IRR][ORL_ENV_DIM][3];           /* d esky / d z_k */
     float dground[ORL_ENV_DIM][3];                  /* d eground / d z_k */
     const orl_light_model *model;
 } orl_light_jac;
@@ -89,7 +92,7 @@ void orl_light_shade_jac(const orl_light *l, const orl_light_jac *jl, const orl_
 /* Reverse mode for training: given d_rgb, adds to the gradients (any may be NULL) of albedo, phi, ground, sky_m. */
 void orl_light_shade_back(const orl_light_model *m, const orl_light *l, const orl_sample *s, const float d_rgb[3],
                           float d_albedo[3], float d_phi[ORL_SHADOW_DIM], float d_ground[3], float d_sky_m[3][ORL_SKY_Y]);
-/* Octahedral map of the full sphere onto [0, ORL_OCT-1]^2 texel centres and back, as used by esky. */
+/* Octahedral map of the full sphere and back: how views number normals. */
 void orl_oct_dir(float u, float v, float dir[3]);       /* u, v in [-1, 1] */
 void orl_oct_uv(const float dir[3], float uv[2]);
 
