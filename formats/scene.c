@@ -16,16 +16,16 @@
 #error "the scene is used in place: little-endian machines only"
 #endif
 
-enum { HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, SKYD, SKYG, PRIO, CODE, META, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
+enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
 typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.7] */
-typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.8] */
-typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.9] */
-typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.10] */
+typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.9] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.10] */
+typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.11] */
 _Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
@@ -123,12 +123,13 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
-        if (t == CODE) continue;
-        if (!scene && t <= GRND && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        int required = t <= ALBD ? scene : t > GRND;
+        if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
+        if (t == CODE || t == FACE) continue;
+        int required = t <= ALBD ? scene : t > FACE;
         if ((e = need(l, t, required, want[t], name))) return e;
     }
-    span code = l->known[CODE];
+    span face = l->known[FACE], code = l->known[CODE];
+    if (face.at && (face.bytes % 6 || face.bytes == 0 || face.bytes / 6 > ORL_FACINGS)) return orl_fail(ORL_E_FORMAT, "%s: section FACE: %llu bytes", name, (unsigned long long)face.bytes);
     uint64_t one = ORL_CODE * sizeof(float);
     if (code.at && (code.bytes % one || code.bytes == 0 || code.bytes / one > MAX_CODES))
         return orl_fail(ORL_E_FORMAT, "%s: section CODE: %llu bytes", name, (unsigned long long)code.bytes);
@@ -190,6 +191,21 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
     return ORL_OK;
 }
 
+static orl_err validate_facings(const layout *l, orl_facings *f, const char *name)
+{
+    const int16_t *q = (const int16_t *)l->known[FACE].at;
+    f->n = (int)(l->known[FACE].bytes / 6);
+    for (int k = 0; k < f->n; k++, q += 3) {
+        float len = 0;
+        for (int a = 0; a < 3; a++) {
+            f->dir[k][a] = (float)q[a] / FACE_ONE;
+            len += f->dir[k][a] * f->dir[k][a];
+        }
+        if (!(len > 0.999f && len < 1.001f)) return orl_fail(ORL_E_RANGE, "%s: section FACE: direction %d is not of unit length", name, k);
+    }
+    return ORL_OK;
+}
+
 /* 2^e for e in EXP_MIN .. EXP_MAX */
 static float exp2i(int e) { uint32_t bits = (uint32_t)(e + 127) << 23; float f; memcpy(&f, &bits, 4); return f; }
 
@@ -231,6 +247,7 @@ static orl_err validate_light(const layout *l, orl_light_model *m, const char *n
 static orl_err validate(const layout *l, orl_scene *s, const char *name)
 {
     orl_err e = s->bmap ? validate_head(l, s, name) : ORL_OK;
+    if (!e) e = validate_facings(l, &s->facings, name);
     if (!e) e = validate_light(l, &s->light, name);
     for (uint32_t i = 0; !e && i < s->ncodes * ORL_CODE; i++)
         if (!within(s->codes[i], 1e6f)) e = orl_fail(ORL_E_RANGE, "%s: section CODE: code %u entry %u", name, i / ORL_CODE, i % ORL_CODE);
@@ -311,7 +328,7 @@ orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, in
 
 /* ---- write */
 
-/* Smallest exponent at which v fits int16 [4.9.1]. */
+/* Smallest exponent at which v fits int16 [4.10.1]. */
 static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, const char *field, const char *path)
 {
     float top = 0;
@@ -354,10 +371,17 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     skyd_bytes skyd = { 0 };
     skyg_bytes skyg = { 0 };
     prio_bytes prio;
+    int16_t face[ORL_FACINGS][3];
     orl_err e = encode_light(&s->light, &skyd, &skyg, &prio, path);
     if (e) return e;
     const void *data[TAGS] = { [SKYD] = &skyd, [SKYG] = &skyg, [PRIO] = &prio, [CODE] = s->ncodes ? s->codes : NULL };
     uint64_t bytes[TAGS] = { [SKYD] = sizeof skyd, [SKYG] = sizeof skyg, [PRIO] = sizeof prio, [CODE] = (uint64_t)s->ncodes * ORL_CODE * sizeof(float), [META] = sizeof s->title };
+    for (int k = 0; k < s->facings.n && k < ORL_FACINGS; k++)
+        for (int a = 0; a < 3; a++) {
+            float v = s->facings.dir[k][a] * FACE_ONE;
+            if (!within(v, FACE_ONE)) return orl_fail(ORL_E_RANGE, "%s: direction %d that walls face", path, k);
+            face[k][a] = (int16_t)(v < 0 ? -(int)(0.5f - v) : (int)(v + 0.5f));
+        }
     char title[sizeof s->title] = { 0 };
     memcpy(title, s->title, strnlen(s->title, sizeof title - 1));
     data[META] = title;
@@ -377,9 +401,9 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
             memcpy(grnd.plane, s->ground, sizeof grnd.plane);
             memcpy(grnd.albedo, s->ground_albedo, sizeof grnd.albedo);
         }
-        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd };
-        for (int t = HEAD; t <= GRND; t++) { data[t] = d[t]; bytes[t] = b[t]; }
+        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, s->facings.n ? face : NULL };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, (uint64_t)(s->facings.n < ORL_FACINGS ? s->facings.n : ORL_FACINGS) * sizeof *face };
+        for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
     }
     uint32_t count = 0;
     for (int t = 0; t < TAGS; t++) count += data[t] != NULL;

@@ -104,14 +104,14 @@ static int32_t sdf_at(const ray *r, int64_t t)
     return brick_sdf(r->s, b, q);
 }
 
-/* Central differences; where a neighbour has no brick, the nearest point of the hit's own. */
+/* Central differences over +-2 cells; where a neighbour has no brick, the nearest point of the hit's own. */
 static void gradient(const orl_scene *s, const int32_t p[3], int32_t own, int32_t grad[3])
 {
     for (int a = 0; a < 3; a++) {
         int32_t v[2];
         for (int k = 0; k < 2; k++) {
             int32_t y[3] = { p[0], p[1], p[2] }, q[3], b = -1;
-            y[a] += k ? 1 << 12 : -(1 << 12);
+            y[a] += k ? 2 << 12 : -(2 << 12);
             if (y[a] >= 0 && y[a] < (int32_t)s->nb[a] << 15) b = brick_of(s, y);
             local(y, b < 0 ? p : y, q);
             v[k] = brick_sdf(s, b < 0 ? own : b, q);

@@ -5,7 +5,7 @@
 
 typedef struct {
     int64_t t;                          /* along the unit ray from its origin, cells Q16 */
-    int32_t grad[3];                    /* of the SDF over +-1 cell, Q16; points into free space */
+    int32_t grad[3];                    /* of the SDF over +-2 cells, Q16; points into free space */
     uint32_t albedo[3];                 /* linear Q16, at most 65535 */
     uint32_t lite[ORL_LITE_BYTES];      /* file's bytes, Q16 */
     int32_t phi[ORL_SHADOW_DIM];        /* file's bytes, Q16 */

@@ -154,7 +154,11 @@ static void build_pixel(const build_job *j, int x, int y)
         double d[3];
         if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, &h)) continue;
         double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
-        if (len > 0) for (int a = 0; a < 3; a++) n[a] += g[a] / len;
+        if (len > 0) {
+            float facing[3] = { (float)(g[0] / len), (float)(g[1] / len), (float)(g[2] / len) };
+            orl_facing_turn(&j->s->facings, facing);
+            for (int a = 0; a < 3; a++) n[a] += facing[a];
+        }
         for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];
         for (int c = 0; c < ORL_LITE_BYTES; c++) lite[c] += h.lite[c];
         for (int c = 0; c < ORL_SHADOW_DIM; c++) phi[c] += h.phi[c];

@@ -106,7 +106,7 @@ static void test_depth_and_normal(void **state)
     assert_true(hits > 4000);
     assert_true(wrong < hits / 100);
     assert_true(depth_sum / hits < 0.08);
-    assert_true(angle_sum / hits < 2);
+    assert_true(angle_sum / hits < 2.5);        /* taken over +-2 cells, which rounds this small scene's edges */
     assert_true(albedo_sum / hits < 0.006);
     free(b.block);
 }

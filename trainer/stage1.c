@@ -25,6 +25,7 @@ static const int SDF_CELL[SDF_LEVELS] = { 1, 2, 4, 16 }, FEAT_CELL[FEAT_LEVELS] 
 #define LAMBDA_SKY 0.1f
 #define LAMBDA_EIKONAL 0.01f
 #define LAMBDA_SMOOTH 0.03f
+#define LAMBDA_SQUARE 0.3f
 #define LAMBDA_POINT 0.02f
 #define LAMBDA_STEREO 0.02f
 #define LAMBDA_NORMAL 0.02f
@@ -140,6 +141,8 @@ orl_err stage1_start(stage1 *s, world *w, stereo *st)
     const int cell = SDF_CELL[1];
     float *hull = NULL;
     s->st = st;
+    facings_find(st, &s->square);
+    if (st) facings_square(&s->square, st);
     orl_err e = grid_init(&s->hull, w->frame.dims, cell, 1, 0);
     if (!e) e = hull_unsky(w, st, s->opt.threads);
     if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);
@@ -512,6 +515,8 @@ static void train_ray(step_job *job, int thread, rng *r)
                 db[a] = -2 * ks * diff;
                 L->total += ks * diff * diff;
             }
+            float to[3], n[3] = { q->p.grad[0] / norm, q->p.grad[1] / norm, q->p.grad[2] / norm }, square = LAMBDA_SQUARE * q->weight * orl_facing_near(&s->square, n, to);
+            for (int a = 0; square > 0 && a < 3; a++) dg[a] += 2 * square * (q->p.grad[a] - to[a]);     /* walls are mostly square to each other */
             sdf_back(s, thread, c->finest, &b, 0, db);
         }
         sdf_back(s, thread, c->finest, &q->p, df, dg);

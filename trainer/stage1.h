@@ -2,6 +2,7 @@
 #ifndef TRAINER_STAGE1_H
 #define TRAINER_STAGE1_H
 #include "trainer/grid.h"
+#include "trainer/facing.h"
 #include "trainer/stereo.h"
 
 enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96, TRANSIENT_ALL = 1 << 19 };
@@ -20,6 +21,7 @@ typedef struct { double photo, sky, eikonal, points, mse, transient; double samp
 typedef struct {
     const world *w;
     const stereo *st;               /* NULL: none */
+    orl_facings square;             /* what walls face; none without stereo */
     const stereo_work *watch;       /* for stereo_slope, not owned; NULL: patches do not pull at the surface */
     stage1_options opt;
     int step, heuristics;           /* fading near cameras, the photos' share in the shape, the patches' pull, weight-scaled smoothness and what is left out as too faint are not gradients of the total: gradient tests turn them off */

@@ -38,7 +38,7 @@ static void distance_map(surface *s)
 
 orl_err surface_build(const stage1 *st, surface *out)
 {
-    surface s = { .f = st->w->frame };
+    surface s = { .f = st->w->frame, .facings = st->square };
     for (int a = 0; a < 3; a++) s.nb[a] = s.f.dims[a] / ORL_BRICK;
     size_t total = brick_count(&s);
     s.bmap = malloc(total * sizeof *s.bmap);
@@ -122,7 +122,7 @@ static float surface_value(const surface *s, const float x[3])
     return brick_value(v, q);
 }
 
-/* Central difference over +-1 cell; a neighbour that has no brick is replaced by the nearest point of the brick `own`, at b, that holds x (maybe on its border). */
+/* Central difference over +-2 cells, turned towards what walls face; a neighbour that has no brick is replaced by the nearest point of the brick `own`, at b, that holds x (maybe on its border). */
 static void surface_normal(const surface *s, const float x[3], const float *own, const int b[3], float n[3])
 {
     int skip;
@@ -131,7 +131,7 @@ static void surface_normal(const surface *s, const float x[3], const float *own,
         float f[2];
         for (int k = 0; k < 2; k++) {
             float y[3] = { x[0], x[1], x[2] };
-            y[a] += k ? 1.0f : -1.0f;
+            y[a] += k ? 2.0f : -2.0f;
             int c[3];
             const float *v = brick_at(s, y, c, &skip);
             const int *use = c;
@@ -145,6 +145,7 @@ static void surface_normal(const surface *s, const float x[3], const float *own,
     if (len < 1e-12f) { n[0] = n[1] = 0; n[2] = 1; return; }
     len = 1.0f / sqrtf(len);
     for (int a = 0; a < 3; a++) n[a] *= len;
+    orl_facing_turn(&s->facings, n);
 }
 
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit)
@@ -363,7 +364,7 @@ void surface_uncover(surface *s)
 
 orl_err surface_save(const surface *s, FILE *f)
 {
-    int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)
+    int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->facings, sizeof s->facings, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)
         || fwrite(s->sdf, ORL_BRICK_VERTS * sizeof *s->sdf, s->nbricks, f) != s->nbricks;
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : grid_save(&s->lite, f, 0);
 }
@@ -371,11 +372,12 @@ orl_err surface_save(const surface *s, FILE *f)
 orl_err surface_load(surface *out, FILE *f, const char *path)
 {
     surface s = { 0 };
-    if (fread(&s.f, sizeof s.f, 1, f) != 1 || fread(&s.nbricks, sizeof s.nbricks, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: surface header is cut short", path);
+    if (fread(&s.f, sizeof s.f, 1, f) != 1 || fread(&s.facings, sizeof s.facings, 1, f) != 1 || fread(&s.nbricks, sizeof s.nbricks, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: surface header is cut short", path);
     for (int a = 0; a < 3; a++) {
         if (s.f.dims[a] < 16 || s.f.dims[a] > 4096 || s.f.dims[a] % 16) return orl_fail(ORL_E_RANGE, "%s: surface dims[%d] = %d", path, a, s.f.dims[a]);
         s.nb[a] = s.f.dims[a] / ORL_BRICK;
     }
+    if (s.facings.n < 0 || s.facings.n > ORL_FACINGS) return orl_fail(ORL_E_RANGE, "%s: surface has %d facings", path, s.facings.n);
     if (s.nbricks > brick_count(&s)) return orl_fail(ORL_E_RANGE, "%s: surface has %u bricks in %zu places", path, s.nbricks, brick_count(&s));
     s.bmap = malloc(brick_count(&s) * sizeof *s.bmap);
     s.sdf = malloc(((size_t)s.nbricks + 1) * ORL_BRICK_VERTS * sizeof *s.sdf);

@@ -11,6 +11,7 @@ typedef struct {
     uint32_t nbricks;
     int32_t *bmap;                  /* as orl_scene.bmap */
     float *sdf;                     /* [nbricks][729], fine cells */
+    orl_facings facings;            /* towards which normals are turned */
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
