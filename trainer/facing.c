@@ -65,7 +65,7 @@ void facings_find(const stereo *st, orl_facings *out)
 {
     double h[BINS], mean = 0;
     memset(out, 0, sizeof *out);
-    if (!st || st->npoints < LEAST) return;
+    if (st->npoints < LEAST) return;
     plan_histogram(st, h);
     for (int i = 0; i < BINS; i++) mean += h[i] / BINS;
     add(st, out, 0, 0, 1);

@@ -4,7 +4,7 @@
 #include "oriel/facing.h"
 #include "trainer/stereo.h"
 
-/* Up, down, and walls at right angles to each other: no more than stand out. st may be NULL. n = 0 where there are too few points. */
+/* Up, down, and walls at right angles to each other: no more than stand out. n = 0 where there are too few points. */
 void facings_find(const stereo *st, orl_facings *out);
 /* Turns the points' normals towards the directions that they are near. */
 void facings_square(const orl_facings *f, stereo *st);

@@ -141,8 +141,7 @@ orl_err stage1_start(stage1 *s, world *w, stereo *st)
     const int cell = SDF_CELL[1];
     float *hull = NULL;
     s->st = st;
-    facings_find(st, &s->square);
-    if (st) facings_square(&s->square, st);
+    if (st) s->square = st->facings;
     orl_err e = grid_init(&s->hull, w->frame.dims, cell, 1, 0);
     if (!e) e = hull_unsky(w, st, s->opt.threads);
     if (!e) e = hull_build(w, st, cell, s->opt.threads, &hull);

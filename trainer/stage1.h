@@ -2,7 +2,6 @@
 #ifndef TRAINER_STAGE1_H
 #define TRAINER_STAGE1_H
 #include "trainer/grid.h"
-#include "trainer/facing.h"
 #include "trainer/stereo.h"
 
 enum { SDF_LEVELS = 4, FEAT_LEVELS = 2, FEAT = 16, APPEARANCE = 4, TRANSIENT_PX = 8, TRANSIENT_CELLS = 96, TRANSIENT_ALL = 1 << 19 };

@@ -5,6 +5,7 @@
  * Patches are 61 samples (the black fields of 11 x 11), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
  * Red pixels read black ones only and companions' maps are frozen during a pass: results do not depend on threads. */
 #include "trainer/stereo.h"
+#include "trainer/facing.h"
 #include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
@@ -713,6 +714,8 @@ orl_err stereo_finish(stereo_work *j, stereo *out)
     stereo_thin(&st, j->w->nphotos, MOST_POINTS);
     stereo_point *fit = realloc(st.points, ((size_t)st.npoints + 1) * sizeof *fit);
     if (fit) st.points = fit;
+    facings_find(&st, &st.facings);
+    facings_square(&st.facings, &st);
     *out = st;
     return ORL_OK;
 }
@@ -817,7 +820,7 @@ orl_err stereo_save(const stereo *s, FILE *f)
 {
     uint32_t n = 0;
     for (uint32_t k = 0; s->begin[k] < s->npoints; k++) n += own_points(s, k);
-    int bad = fwrite(&n, sizeof n, 1, f) != 1;
+    int bad = fwrite(&n, sizeof n, 1, f) != 1 || fwrite(&s->facings, sizeof s->facings, 1, f) != 1;
     for (uint32_t k = 0; !bad && s->begin[k] < s->npoints; k++) bad = fwrite(s->points + s->begin[k], sizeof *s->points, own_points(s, k), f) != own_points(s, k);
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
 }
@@ -828,7 +831,8 @@ orl_err stereo_load(stereo *out, const world *w, FILE *f, const char *path)
     uint64_t most = 0;
     orl_err e = ORL_OK;
     for (int k = 0; k < w->nphotos; k++) most += (uint64_t)w->photos[k].w * (uint64_t)w->photos[k].h;
-    if (fread(&s.npoints, sizeof s.npoints, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: stereo points are cut short", path);
+    if (fread(&s.npoints, sizeof s.npoints, 1, f) != 1 || fread(&s.facings, sizeof s.facings, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: stereo points are cut short", path);
+    if (s.facings.n < 0 || s.facings.n > ORL_FACINGS) return orl_fail(ORL_E_RANGE, "%s: stereo points with %d facings", path, s.facings.n);
     if (s.npoints > most) return orl_fail(ORL_E_RANGE, "%s: %u stereo points", path, s.npoints);
     s.points = malloc(((size_t)s.npoints + 1) * sizeof *s.points);
     s.begin = calloc((size_t)w->nphotos + 1, sizeof *s.begin);

@@ -2,6 +2,7 @@
 #ifndef TRAINER_STEREO_H
 #define TRAINER_STEREO_H
 #include <stdio.h>
+#include "oriel/facing.h"
 #include "trainer/grid.h"
 #include "trainer/world.h"
 
@@ -15,6 +16,7 @@ typedef struct stereo {
     stereo_point *points; uint32_t npoints;
     uint32_t *begin;                /* points of photo k: [begin[k], begin[k + 1]) */
     uint32_t *found;                /* the first so many of them are stereo's own, the rest completed (complete.h); NULL: all are */
+    orl_facings facings;            /* what walls face (facing.h); the points' normals are drawn there */
 } stereo;
 
 /* PatchMatch stereo over the training photos at their training size, one photo a step. Repeatable for a seed, whatever the thread count. A scene without a pair of photos that see the same
@@ -23,7 +25,7 @@ typedef struct stereo_work stereo_work;
 orl_err stereo_begin(const world *w, uint64_t seed, int threads, stereo_work **out);    /* ORL_E_MEMORY */
 int stereo_step(stereo_work *s);                /* 0: nothing was left to do */
 double stereo_progress(const stereo_work *s);   /* 0..1 */
-orl_err stereo_finish(stereo_work *s, stereo *out);     /* no step after it; of very many points a share stays */
+orl_err stereo_finish(stereo_work *s, stereo *out);     /* no step after it; of very many points a share stays, and their normals are drawn to what walls face */
 void stereo_end(stereo_work *s);                /* NULL is fine */
 /* Depth maps on the way. Only where stereo_can_save says so: between the passes that need all maps at once, or within the first. */
 int stereo_can_save(const stereo_work *s);
