@@ -401,22 +401,24 @@ void orl_light_esky(const orl_light *l, const float n[3], float e[3])
 }
 
 /* V and its derivatives by sun azimuth and elevation. */
-static float visibility(const orl_light *l, const float *horizon, float *d_az, float *d_el)
+static float visibility(const orl_light *l, const orl_sample *s, float *d_az, float *d_el)
 {
     const float per = ORL_HORIZON / (2 * PI);
     float a = l->code[ORL_C_SUN_AZ] * per;
     int i = (int)a - (a < (float)(int)a);                               /* floor */
-    float f = a - (float)i, h0 = horizon[i & (ORL_HORIZON - 1)], h1 = horizon[(i + 1) & (ORL_HORIZON - 1)];
+    float f = a - (float)i, h0 = s->horizon[i & (ORL_HORIZON - 1)], h1 = s->horizon[(i + 1) & (ORL_HORIZON - 1)];
     float t = clampf((l->code[ORL_C_SUN_EL] - (h0 + f * (h1 - h0))) * (1 / ORL_SUN_SOFT) + 0.5f, 0, 1);
     *d_el = 6 * t * (1 - t) * (1 / ORL_SUN_SOFT);
     *d_az = -*d_el * (h1 - h0) * per;
-    return t * t * (3 - 2 * t);
+    float v = t * t * (3 - 2 * t) + s->fix, clamped = clampf(v, 0, 1);
+    if (v != clamped) *d_el = *d_az = 0;
+    return clamped;
 }
 
-float orl_light_sun_visibility(const orl_light *l, const float horizon[ORL_HORIZON])
+float orl_light_sun_visibility(const orl_light *l, const orl_sample *s)
 {
     float a, b;
-    return visibility(l, horizon, &a, &b);
+    return visibility(l, s, &a, &b);
 }
 
 /* The surface's part of a sample with all that its derivatives need. */
@@ -436,7 +438,7 @@ static void shade_surface(const orl_light *l, const orl_sample *o, surface *r)
     v4 sky = fetch(l->esky[0], &r->f, &r->open);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) x += l->code[ORL_C_SHADOW + k] * o->phi[k];
     r->s = 1 / (1 + orl_expf(-x));
-    r->vis = visibility(l, o->horizon, &r->vis_az, &r->vis_el);
+    r->vis = visibility(l, o, &r->vis_az, &r->vis_el);
     float d = o->normal[0] * l->sun_dir[0] + o->normal[1] * l->sun_dir[1] + o->normal[2] * l->sun_dir[2];
     r->cosine = d > 0 ? d : 0;
     r->below = 0.5f * (1 - o->normal[2]);

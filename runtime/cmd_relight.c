@@ -127,6 +127,7 @@ static float day_gain(studio *s, float rise)
     for (int i = 0; i < 5; i++) {
         orl_sun sun = orl_day_sun(&s->day, rise * (0.8f - 0.4f * (float)i), &s->sky);
         orl_relight_set(&s->light, &sun);
+        orl_relight_trace(&s->light, s->o->threads);
         orl_relight_linear(&s->light, s->o->threads, s->linear);
         float bright = orl_relight_bright(&s->light, s->linear, s->scratch);
         top = bright > top ? bright : top;
@@ -154,6 +155,7 @@ static orl_err put_day(studio *s, orl_sink *sink, float rise)
     for (int i = 0; !e && i < o->frames; i++) {
         orl_sun sun = orl_day_sun(&s->day, rise * (1 - (2 * (float)i + 1) / (float)o->frames), &s->sky);
         orl_relight_set(&s->light, &sun);
+        orl_relight_trace(&s->light, o->threads);
         orl_relight_linear(&s->light, o->threads, s->linear);
         orl_relight_display(&s->light, o->threads, s->linear, gain, &s->tone, s->rgb.px);
         e = orl_sink_put(sink, s->rgb.px, (size_t)s->view.w * 3);
@@ -238,6 +240,7 @@ static orl_err relight(const options *o)
             sun.moved = 1;
         }
         orl_relight_init(&s->view, &s->scene.light, &s->sky, &sun, &s->light);
+        orl_relight_trace(&s->light, o->threads);
         e = ends(o->out, ".exr") ? write_layers(s, R) : write_display(s);
     }
     free(s->linear); free(s->scratch); free(s->block);

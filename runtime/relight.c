@@ -26,7 +26,7 @@ void orl_relight_set(orl_relight *r, const orl_sun *sun)
     orl_light_from_env(r->model, (const float (*)[3])env, code, &r->light);
 }
 
-void orl_relight_init(const orl_view *view, const orl_light_model *model, const orl_panorama *sky, const orl_sun *sun, orl_relight *out)
+void orl_relight_init(orl_view *view, const orl_light_model *model, const orl_panorama *sky, const orl_sun *sun, orl_relight *out)
 {
     float up[3];
     out->view = view;
@@ -39,6 +39,14 @@ void orl_relight_init(const orl_view *view, const orl_light_model *model, const 
     out->level = luminance(up) > 0 ? PI / luminance(up) : 1;
     orl_relight_set(out, sun);
 }
+
+static void trace_rows(void *user, int begin, int end)
+{
+    orl_relight *r = user;
+    orl_view_trace_sun(r->view, &r->light, begin, end);
+}
+
+void orl_relight_trace(orl_relight *r, int threads) { orl_parallel(threads, r->view->h, GRAIN, trace_rows, r); }
 
 static float learned_shadow(const orl_light *l, const orl_sample *p)
 {
@@ -60,7 +68,7 @@ void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out)
     if (p.cov > 0) {
         memcpy(out->albedo, p.albedo, sizeof p.albedo);
         memcpy(out->normal, p.normal, sizeof p.normal);
-        out->shadow = learned_shadow(&r->light, &p) * orl_light_sun_visibility(&r->light, p.horizon);
+        out->shadow = learned_shadow(&r->light, &p) * orl_light_sun_visibility(&r->light, &p);
         p.albedo[0] = p.albedo[1] = p.albedo[2] = PROBE;
         p.cov = 1;
         orl_light_shade(&r->light, &p, e);

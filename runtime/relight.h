@@ -6,7 +6,7 @@
 #include "runtime/panorama.h"
 
 typedef struct {
-    const orl_view *view;
+    orl_view *view;
     const orl_light_model *model;
     const orl_panorama *sky;
     float level;                        /* panorama's units -> light's */
@@ -26,8 +26,10 @@ typedef struct {
 typedef struct { float a[3][3], b[3]; } orl_tone;       /* rgb = A e + b on sRGB-encoded colour */
 
 /* level: such that a white floor under this sun is displayed at about 1, the middle of the light model's range. Then as orl_relight_set. */
-void orl_relight_init(const orl_view *view, const orl_light_model *model, const orl_panorama *sky, const orl_sun *sun, orl_relight *out);
+void orl_relight_init(orl_view *view, const orl_light_model *model, const orl_panorama *sky, const orl_sun *sun, orl_relight *out);
 void orl_relight_set(orl_relight *r, const orl_sun *sun);
+/* Then the sun is traced for the view's pixels (else the scene's horizons tell where it shines). */
+void orl_relight_trace(orl_relight *r, int threads);
 void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out);
 /* The picture, linear; work: [h][w][3]. */
 void orl_relight_linear(const orl_relight *r, int threads, float *linear);

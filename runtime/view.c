@@ -34,6 +34,7 @@ static size_t place(orl_view *v, uint8_t *block)
     PLANE(cov, uint8_t, 1);
     PLANE(horizon, uint8_t, ORL_HORIZON);
     PLANE(phi, int8_t, ORL_SHADOW_DIM);
+    PLANE(fix, int8_t, 1);
     PLANE(vis, uint8_t, 1);
     PLANE(depth, uint16_t, 1);
 #undef PLANE
@@ -216,13 +217,14 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     double det = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
-    orl_view v = { .w = cam->w, .h = cam->h, .stride = padded(cam->w), .cam = *cam, .pose = *pose };
+    orl_view v = { .w = cam->w, .h = cam->h, .stride = padded(cam->w), .cam = *cam, .pose = *pose, .scene = s };
     build_job j = { s, &v, supersample, { 0 } };
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
     orl_pose_centre(pose, centre);
     for (int a = 0; a < 3; a++) {
         j.origin[a] = m[4 * a] * centre[0] + m[4 * a + 1] * centre[1] + m[4 * a + 2] * centre[2] + m[4 * a + 3];
+        v.eye[a] = j.origin[a];
         for (int c = 0; c < 3; c++) v.grid_from_cam[3 * a + c] = (m[4 * a] * R[3 * c] + m[4 * a + 1] * R[3 * c + 1] + m[4 * a + 2] * R[3 * c + 2]) / scale;
     }
     size_t n = (size_t)v.stride * (size_t)v.h;
@@ -248,6 +250,7 @@ void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out)
         s.dir[c] = (float)d[c];
     }
     for (int i = 0; i < ORL_HORIZON; i++) s.horizon[i] = (float)v->horizon[at * ORL_HORIZON + (size_t)i] * (1.57079633f / 255);
+    s.fix = (float)v->fix[at] * (1 / 127.0f);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) s.phi[k] = (float)v->phi[at * ORL_SHADOW_DIM + (size_t)k] * v->phi_scale[k];
     *out = s;
 }
@@ -383,6 +386,31 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     return t;
 }
 
+/* ---- the sun's way */
+
+static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const orl_light *l)
+{
+    const float *n = p->normal, *s = l->sun_dir;
+    double d[3], o[3], sun[3] = { s[0], s[1], s[2] }, t = v->depth[(size_t)y * (size_t)v->stride + (size_t)x] / 16.0;
+    orl_hit h;
+    if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !pixel_dir(v, x + 0.5, y + 0.5, d)) return 0;
+    for (int a = 0; a < 3; a++) o[a] = v->eye[a] + t * d[a] + (double)(ORL_SUN_LIFT * n[a]);
+    return !orl_march(v->scene, o, sun, &h);
+}
+
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1)
+{
+    for (int y = y0; y < y1; y++)
+        for (int x = 0; x < v->w; x++) {
+            size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+            orl_sample p;
+            v->fix[at] = 0;
+            if (!v->cov[at] || !v->scene->lite || !(l->sun_dir[2] > 0)) continue;     /* a scene without horizons takes the sun as unhidden */
+            orl_view_sample(v, x, y, &p);
+            v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
+        }
+}
+
 /* ---- rows */
 
 void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1)
@@ -392,6 +420,10 @@ void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0
     for (int y = y0; y < y1; y++) {
         size_t at = (size_t)y * (size_t)v->stride;
         k.vis(v->horizon + at * ORL_HORIZON, &l->vis, v->stride, v->vis + at);
+        for (int x = 0; x < v->stride; x++) {
+            int s = v->vis[at + (size_t)x] + 2 * v->fix[at + (size_t)x];
+            v->vis[at + (size_t)x] = (uint8_t)(s < 0 ? 0 : s > 255 ? 255 : s);
+        }
     }
 }
 

@@ -7,7 +7,9 @@
 #include "oriel/parallel.h"
 #include "runtime/arena.h"
 
-enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2 };
+enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2, TRACES = 2, BANDS = 32 };    /* TRACES: of a sun that was just found, each followed by a better one; BANDS: frames that a creeping sun's trace takes */
+#define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
+#define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
 void *orl_widen_block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
 
@@ -76,6 +78,16 @@ static void average(const orl_camera *photo, int sw, int sh, int sx, int sy, con
     }
 }
 
+static void sample_small(orl_widen *w)
+{
+    for (int i = 0; i < w->nsamples; i++) {
+        orl_sample *s = &w->samples[i], was = *s;
+        orl_view_sample(&w->small, w->spot[i] % w->small.w, w->spot[i] / w->small.w, s);
+        memcpy(s->rgb, was.rgb, sizeof s->rgb);
+        s->weight = was.weight;
+    }
+}
+
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out)
 {
     orl_arena a = { block, 0 };
@@ -97,10 +109,8 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
         if (c->mask) average(&c->photo, s.w, s.h, i % s.w, i / s.w, c->mask, 1, &person);
         w.unmasked[i] = !person;
     }
-    for (int i = 0; i < w.nsamples; i++) {
-        memset(&w.samples[i], 0, sizeof w.samples[i]);
-        orl_view_sample(&w.small, w.spot[i] % s.w, w.spot[i] / s.w, &w.samples[i]);
-    }
+    memset(w.samples, 0, (size_t)w.nsamples * sizeof *w.samples);
+    sample_small(&w);
     *out = w;
     return ORL_OK;
 }
@@ -144,6 +154,42 @@ static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
     w->starts++;
     return orl_adapt(&w->config.scene->light, w->samples, (size_t)w->nsamples, init, &opt, w->adapt_work, orl_adapt_need(), out);
 }
+
+/* ---- the sun's way ---- */
+
+typedef struct { orl_view *v; const orl_light *light; int first; } tracing;
+
+static void trace_rows(void *user, int begin, int end)
+{
+    tracing *t = user;
+    orl_view_trace_sun(t->v, t->light, t->first + begin, t->first + end);
+}
+
+static void trace_band(const orl_widen *w, orl_view *v, int first, int end)
+{
+    tracing t = { v, w->light, first };
+    orl_parallel(w->config.threads, end - first, 8, trace_rows, &t);
+}
+
+/* Brings a view up to the light found last: w->light. */
+static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
+{
+    const float *now = w->light->sun_dir;
+    float c = s->dir[0] * now[0] + s->dir[1] * now[1] + s->dir[2] * now[2];
+    if (!s->traced || !(c > SUN_JUMPS)) {
+        *s = (orl_sun_trace){ { now[0], now[1], now[2] }, v->h, 1 };
+        trace_band(w, v, 0, v->h);
+        return;
+    }
+    if (s->row == v->h && !(c > SUN_CREEPS)) *s = (orl_sun_trace){ { now[0], now[1], now[2] }, 0, 1 };
+    if (s->row == v->h) return;
+    int end = s->row + (v->h + BANDS - 1) / BANDS;
+    if (end > v->h) end = v->h;
+    trace_band(w, v, s->row, end);
+    s->row = end;
+}
+
+/* ---- the light ---- */
 
 /* From the prior's starts, and from the training photos whose light comes nearest. */
 static orl_err fit_cold(orl_widen *w)
@@ -207,8 +253,19 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     observe(w, photo);
     orl_err e = w->adapted ? fit_warm(w) : fit_cold(w);
     if (e) return e;
-    w->adapted = w->fit.status != ORL_ADAPT_DEGENERATE || w->adapted;
+    int found = w->fit.status != ORL_ADAPT_DEGENERATE, first = found && !w->adapted;
+    w->adapted |= found;
     orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    for (int k = 0; !e && k < (first ? TRACES : found); k++) {
+        follow_sun(w, &w->small, &w->small_sun);
+        sample_small(w);
+        if (!first) break;
+        orl_adapt_result r;
+        if ((e = fit(w, w->fit.code, &r))) return e;
+        if (r.status != ORL_ADAPT_DEGENERATE) w->fit = r;
+        orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    }
+    if (found) follow_sun(w, &w->wide, &w->wide_sun);
     w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }

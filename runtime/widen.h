@@ -18,9 +18,13 @@ typedef struct {
     unsigned cpu;
 } orl_widen_config;
 
+/* A view's sun: traced all at once when it jumps, by and by (a band of rows a frame, in step with nothing but the frames) when it creeps. */
+typedef struct { float dir[3]; int row, traced; } orl_sun_trace;       /* rows below `row` wait for the sun at dir */
+
 typedef struct {
     orl_widen_config config;
     orl_view small, wide;
+    orl_sun_trace small_sun, wide_sun;
     orl_blend *blend;                   /* NULL without */
     orl_adapt_result fit;               /* of the last adaptation */
     int adapted;                        /* fit.code holds a light */

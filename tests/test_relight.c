@@ -234,7 +234,7 @@ static void layers_add_up(void **state)
         double x = (double)ORL_SHADOW_BIAS, sh, cosine = 0;
         for (int k = 0; k < ORL_SHADOW_DIM; k++) x += (double)(l->code[ORL_C_SHADOW + k] * p.phi[k]);
         sh = 1 / (1 + exp(-x));
-        NEAR((double)a.shadow, sh * (double)orl_light_sun_visibility(l, p.horizon), 1e-5);
+        NEAR((double)a.shadow, sh * (double)orl_light_sun_visibility(l, &p), 1e-5);
         orl_light_esky(l, p.normal, e);
         for (int k = 0; k < 3; k++) cosine += (double)(p.normal[k] * l->sun_dir[k]);
         for (int c = 0; c < 3; c++) {

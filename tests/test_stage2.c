@@ -58,7 +58,7 @@ static void few_photos_leave_no_stain(void **state)
     for (int few = 0; few < 2; few++) {
         stages t;
         stage2_losses l;
-        start(&t, 0);
+        start(&t, WITHOUT_VISIBILITY);      /* nothing stands on this ground */
         lay_ground(&t.s, few);
         for (int i = 0; i < 20; i++) stage2_round(&t.s, &l);
         const frame *f = &t.surf.f;

@@ -1,4 +1,4 @@
-/* The fixed-point view against the analytic scene: depth, normal, coverage, thread-count identity, degenerate poses, and fixed shading against the float model on the view's own samples. */
+/* The fixed-point view against the analytic scene: depth, normal, coverage, thread-count identity, degenerate poses, the sun's way, and fixed shading against the float model on the view's own samples. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -344,10 +344,63 @@ static void test_degenerate(void **state)
     }
 }
 
+/* Where the ball's shadow falls: traced against analytic, then in vis to the last step, whatever the horizons say; and where no sun is traced. */
+static void test_sun(void **state)
+{
+    (void)state;
+    orl_camera cam = synth_camera(160, 120, 45);
+    orl_pose pose = synth_look(&scene, eye, target);
+    built b;
+    float code[ORL_CODE];
+    orl_light light;
+    void *block = aligned_alloc(64, orl_view_light_need());
+    memcpy(code, scene.light.prior_mean, sizeof code);
+    code[ORL_C_SUN_AZ] = 0.3f;
+    code[ORL_C_SUN_EL] = 0.6f;
+    orl_light_decode(&scene.light, code, &light);
+    build(&b, &cam, &pose, 1, 1);
+    for (int y = cam.h - 1; y >= 0; y--) orl_view_trace_sun(&b.v, &light, y, y + 1);
+    orl_view_relight(&b.v, orl_view_light_make(&b.v, &light, block, orl_view_light_need()), orl_cpu_detect(), 0, cam.h);
+    int seen = 0, dark = 0, wrong = 0;
+    for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
+        orl_sample s;
+        double n[3], d[3], t = look(&b, x, y, &s, d, n), sun[3], o[3], cosine = 0, far[3];
+        if (t <= 0 || s.cov < 1 || fabs(depth_of(&b, x, y) - t) > 0.5) continue;
+        for (int a = 0; a < 3; a++) {
+            sun[a] = light.sun_dir[a];
+            o[a] = eye[a] + t * d[a] + 1.5 * n[a];
+            cosine += n[a] * sun[a];
+        }
+        int lit = cosine > 0 && analytic(o, sun, far) < 0;
+        float v = orl_light_sun_visibility(&light, &s);
+        assert_true(v < 0.01f || v > 0.99f);
+        assert_int_equal(b.v.vis[(size_t)y * (size_t)b.v.stride + (size_t)x] > 127, v > 0.5f);
+        seen++;
+        dark += !lit;
+        wrong += lit != (v > 0.5f);
+    }
+    print_message("%d pixels, %d without sun, %d wrong\n", seen, dark, wrong);
+    assert_true(seen > 4000 && dark > seen / 20 && wrong < seen / 50);
+    size_t n = (size_t)b.v.stride * (size_t)b.v.h;
+    int8_t *zero = calloc(n, 1);
+    light.sun_dir[2] = -0.1f;                   /* under the horizon: the horizons tell */
+    orl_view_trace_sun(&b.v, &light, 0, cam.h);
+    assert_memory_equal(b.v.fix, zero, n);
+    orl_scene open = scene;
+    open.lite = NULL;                           /* a scene in which nothing hides the sun */
+    light.sun_dir[2] = 0.5f;
+    b.v.scene = &open;
+    orl_view_trace_sun(&b.v, &light, 0, cam.h);
+    assert_memory_equal(b.v.fix, zero, n);
+    free(zero);
+    free(block);
+    free(b.block);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_hole), cmocka_unit_test(test_gap), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_degenerate),
+        cmocka_unit_test(test_depth_and_normal), cmocka_unit_test(test_coverage), cmocka_unit_test(test_hole), cmocka_unit_test(test_gap), cmocka_unit_test(test_threads), cmocka_unit_test(test_shading), cmocka_unit_test(test_sun), cmocka_unit_test(test_degenerate),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -156,7 +156,7 @@ orl_err finished_open(const char *path, const orl_dataset *d, int threads, finis
     if (!e) e = world_load(d, h->long_side, h->longest, 1, threads, &r->w);
     if (!e && (h->nphotos != r->w.nphotos || (h->place && h->place != checkpoint_place(&r->w)))) e = orl_fail(ORL_E_FORMAT, "%s: made from other photos or cameras than those of %s", path, d->dir);
     if (!e) e = surface_load(&r->surf, f, path);
-    if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, NULL, NULL, &(stage2_options){ 0 });
+    if (!e) e = stage2_init(&r->s2, &r->w, &r->surf, NULL, NULL, &(stage2_options){ .without = h->without });
     if (!e && !(r->s2.codes = calloc((size_t)r->w.nphotos, sizeof *r->s2.codes))) e = orl_fail(ORL_E_MEMORY, "%s: no memory for codes", path);
     if (!e) e = stage2_load(&r->s2, f, 0, path);
     if (!e) e = checkpoint_load_sky(&r->w, f, path);

@@ -90,7 +90,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     sc.bmap = surf->bmap;
     sc.sdf = sdf;
     sc.albedo = albedo;
-    sc.lite = lite;
+    sc.lite = s2->opt.without & WITHOUT_VISIBILITY ? NULL : lite;
     sc.shadow = shadow;
     if (s2->codes && s2->w) {
         sc.ncodes = (uint32_t)s2->w->nphotos;

@@ -18,7 +18,7 @@ orl_err orl_model_load(const char *path, orl_model **out)
     if (!m) e = orl_fail(ORL_E_MEMORY, "%s: no memory", path);
     if (!e && h.phase != 3) e = orl_fail(ORL_E_FORMAT, "%s: training has not finished (go on with fit --resume)", path);
     if (!e) e = surface_load(&m->surf, f, path);
-    if (!e) e = stage2_init(&m->s2, NULL, &m->surf, NULL, NULL, &(stage2_options){ 0 });
+    if (!e) e = stage2_init(&m->s2, NULL, &m->surf, NULL, NULL, &(stage2_options){ .without = h.without });
     if (!e) e = stage2_load(&m->s2, f, 0, path);
     fclose(f);
     if (e) { orl_model_free(m); return e; }
@@ -37,7 +37,7 @@ void orl_model_free(orl_model *m)
 const orl_light_model *orl_model_light(const orl_model *m) { return &m->s2.light; }
 void orl_model_up(const orl_model *m, double R[9]) { memcpy(R, m->surf.f.R, sizeof m->surf.f.R); }
 
-typedef struct { const orl_model *m; world_photo cam; orl_sample *out; float *depth; } gbuffer_job;
+typedef struct { const orl_model *m; world_photo cam; const orl_light *light; orl_sample *out; float *depth; } gbuffer_job;
 
 static void gbuffer_rows(void *user, int begin, int end)
 {
@@ -50,7 +50,7 @@ static void gbuffer_rows(void *user, int begin, int end)
             orl_sample *s = &j->out[(size_t)y * (size_t)j->cam.w + (size_t)x];
             memset(s, 0, sizeof *s);
             world_ray(&j->cam, x + 0.5, y + 0.5, s->dir);
-            float hits = 0, depth = 0;
+            float hits = 0, depth = 0, lit = 0;
             for (int k = 0; k < 4; k++) {       /* four rays: attributes averaged, coverage counted */
                 float d[3];
                 surface_hit h;
@@ -63,6 +63,7 @@ static void gbuffer_rows(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
                 for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] += q.phi[a];
+                if (j->light) lit += (float)surface_sunlit(&m->surf, h.x, h.n, j->light->sun_dir);
                 s->open += q.open;
                 depth += h.t * (d[0] * fwd[0] + d[1] * fwd[1] + d[2] * fwd[2]);
                 hits++;
@@ -74,6 +75,7 @@ static void gbuffer_rows(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) s->normal[a] *= n;
                 for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] *= inv;
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] *= inv;
+                if (j->light && j->light->sun_dir[2] > 0 && !(j->m->s2.opt.without & WITHOUT_VISIBILITY)) s->fix = lit * inv - orl_light_sun_visibility(j->light, s);
                 s->open *= inv;
                 s->cov = hits / 4;
                 depth *= inv / (float)m->surf.f.scale;
@@ -82,9 +84,9 @@ static void gbuffer_rows(void *user, int begin, int end)
         }
 }
 
-void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, int threads, orl_sample *out, float *depth)
+void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int threads, orl_sample *out, float *depth)
 {
-    gbuffer_job j = { .m = m, .out = out, .depth = depth };
+    gbuffer_job j = { .m = m, .light = light, .out = out, .depth = depth };
     frame_view(&m->surf.f, cam, pose, &j.cam);
     orl_parallel(threads, cam->h, 4, gbuffer_rows, &j);
 }

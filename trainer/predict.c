@@ -3,8 +3,9 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include "oriel/parallel.h"
 
-enum { PIXELS = 3000 };
+enum { PIXELS = 3000, TRACES = 2 };         /* TRACES: as the runtime's (runtime/widen.c) */
 
 static void *aligned(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
 
@@ -40,12 +41,13 @@ static void observe(const orl_image *known, spot p, orl_sample *s)
     s->weight = 1;
 }
 
-static orl_err adapt(const orl_light_model *m, const orl_sample *s, int n, orl_adapt_result *out)
+/* init: NULL, a cold start; or the code to go on from. */
+static orl_err adapt(const orl_light_model *m, const orl_sample *s, int n, const float *init, orl_adapt_result *out)
 {
     size_t need = orl_adapt_need();
     void *work = aligned(need);
     orl_adapt_options opt = orl_adapt_defaults();
-    orl_err e = work ? orl_adapt(m, s, (size_t)n, NULL, &opt, work, need, out) : orl_fail(ORL_E_MEMORY, "eval: no memory for adaptation");
+    orl_err e = work ? orl_adapt(m, s, (size_t)n, init, &opt, work, need, out) : orl_fail(ORL_E_MEMORY, "eval: no memory for adaptation");
     free(work);
     return e;
 }
@@ -58,27 +60,48 @@ orl_err predict_view(const orl_scene *s, const orl_camera *cam, const orl_pose *
     return orl_view_build(s, cam, pose, supersample, threads, *mem, need, v);
 }
 
-orl_err predict_light(const orl_scene *s, const orl_view *v, const orl_image *known, orl_adapt_result *out)
+typedef struct { orl_view *v; const orl_light *light; } sun_job;
+
+static void sun_rows(void *user, int begin, int end)
+{
+    sun_job *j = user;
+    orl_view_trace_sun(j->v, j->light, begin, end);
+}
+
+void predict_sun(orl_view *v, const orl_light *light, int threads)
+{
+    sun_job j = { v, light };
+    orl_parallel(threads, v->h, 8, sun_rows, &j);
+}
+
+orl_err predict_light(const orl_scene *s, orl_view *v, const orl_image *known, int threads, orl_adapt_result *out)
 {
     int cap = 2 * PIXELS;
     spot *at = malloc((size_t)cap * sizeof *at);
     orl_sample *sample = calloc((size_t)cap, sizeof *sample);
+    orl_light *light = malloc(sizeof *light);
     orl_err e = ORL_OK;
-    if (at && sample) {
+    if (at && sample && light) {
         int n = pick(known->w, known->h, at, cap);
-        for (int i = 0; i < n; i++) {
-            orl_view_sample(v, at[i].x, at[i].y, &sample[i]);
-            observe(known, at[i], &sample[i]);
+        memset(v->fix, 0, (size_t)v->stride * (size_t)v->h);
+        for (int pass = 0; !e && pass <= TRACES; pass++) {
+            for (int i = 0; i < n; i++) {
+                orl_view_sample(v, at[i].x, at[i].y, &sample[i]);
+                observe(known, at[i], &sample[i]);
+            }
+            e = adapt(&s->light, sample, n, pass ? out->code : NULL, out);
+            if (e || pass == TRACES) break;
+            orl_light_decode(&s->light, out->code, light);
+            predict_sun(v, light, threads);
         }
-        e = adapt(&s->light, sample, n, out);
     } else {
         e = orl_fail(ORL_E_MEMORY, "eval: no memory for samples");
     }
-    free(at); free(sample);
+    free(at); free(sample); free(light);
     return e;
 }
 
-orl_err predict_shade(orl_view *v, const orl_light *light, unsigned cpu, orl_image *out)
+orl_err predict_shade(orl_view *v, const orl_light *light, int threads, unsigned cpu, orl_image *out)
 {
     size_t need = orl_view_light_need();
     void *mem = aligned(need);
@@ -87,6 +110,7 @@ orl_err predict_shade(orl_view *v, const orl_light *light, unsigned cpu, orl_ima
     if (!e) {
         orl_view_light *l = orl_view_light_make(v, light, mem, need);
         if (l) {
+            predict_sun(v, light, threads);
             orl_view_relight(v, l, cpu, 0, v->h);
             orl_view_shade(v, l, cpu, 0, v->h, im.px, (size_t)v->w * 3);
             *out = im;
@@ -106,10 +130,10 @@ static orl_err predict_fixed(const eval_setup *s, const orl_camera *cam, const o
     void *mem = NULL;
     orl_light *light = malloc(sizeof *light);
     orl_err e = light ? predict_view(s->scene, cam, pose, 2, s->threads, &v, &mem) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
-    if (!e) e = predict_light(s->scene, &v, known, fit);
+    if (!e) e = predict_light(s->scene, &v, known, s->threads, fit);
     if (!e) {
         orl_light_decode(&s->scene->light, fit->code, light);
-        e = predict_shade(&v, light, s->cpu, out);
+        e = predict_shade(&v, light, s->threads, s->cpu, out);
     }
     free(mem); free(light);
     return e;
@@ -128,14 +152,17 @@ static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const o
     orl_err e = g && sample && at && light ? orl_imagef_alloc(&im, cam->w, cam->h, 3)
                                            : orl_fail(ORL_E_MEMORY, "eval: no memory for %zu samples", pixels);
     if (e) goto done;
-    orl_model_gbuffer(s->model, cam, pose, s->threads, g, NULL);
     int n = pick(known->w, known->h, at, cap);
-    for (int i = 0; i < n; i++) {
-        sample[i] = g[(size_t)at[i].y * (size_t)cam->w + (size_t)at[i].x];
-        observe(known, at[i], &sample[i]);
+    for (int pass = 0; pass <= TRACES; pass++) {
+        orl_model_gbuffer(s->model, cam, pose, pass ? light : NULL, s->threads, g, NULL);
+        for (int i = 0; i < n; i++) {
+            sample[i] = g[(size_t)at[i].y * (size_t)cam->w + (size_t)at[i].x];
+            observe(known, at[i], &sample[i]);
+        }
+        if ((e = adapt(model, sample, n, pass ? fit->code : NULL, fit))) goto done;
+        orl_light_decode(model, fit->code, light);
     }
-    if ((e = adapt(model, sample, n, fit))) goto done;
-    orl_light_decode(model, fit->code, light);
+    orl_model_gbuffer(s->model, cam, pose, light, s->threads, g, NULL);
     for (size_t i = 0; i < pixels; i++) orl_light_shade(light, &g[i], im.px + 3 * i);
     e = orl_image_from_float(&im, out);
 done:

@@ -96,7 +96,7 @@ static void shading(const orl_light *white, const orl_sample *q, double out[3])
 
 static double sun_visible(const orl_light *l, const orl_sample *q)      /* faces that are turned away lie in their own shade */
 {
-    return q->normal[0] * l->sun_dir[0] + q->normal[1] * l->sun_dir[1] + q->normal[2] * l->sun_dir[2] > 0 ? orl_light_sun_visibility(l, q->horizon) : 0;
+    return q->normal[0] * l->sun_dir[0] + q->normal[1] * l->sun_dir[1] + q->normal[2] * l->sun_dir[2] > 0 ? orl_light_sun_visibility(l, q) : 0;
 }
 
 static double shadow_factor(const orl_light *l, const orl_sample *q)

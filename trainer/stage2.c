@@ -12,7 +12,7 @@
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
 static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 0.6f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
-enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
+enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, TRACE_EVERY = 4, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
 #define PULL 4.0f               /* over the square of the photos that see it */
@@ -365,6 +365,7 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
     else look_up(s, q->x, o, c);
     memcpy(o->normal, q->n, sizeof o->normal);
     o->open = q->open * (1.0f / 255.0f);
+    o->fix = q->fix * (1.0f / 127.0f);
     for (int a = 0; a < ORL_HORIZON; a++) o->horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
     o->cov = 1;
 }
@@ -382,6 +383,22 @@ static int visit(const stage2 *s, int i, int *before)
 typedef struct { int first, all; } share;
 static share share_of(const stage2 *s, int t) { return (share){ ranks_mine() * s->opt.threads + t, ranks_count() * s->opt.threads }; }
 
+/* Does the sun of a code reach the photo's pixels? Kept as what the horizons miss. */
+static void trace_sun(stage2 *s, int k, const float code[ORL_CODE], orl_light *light)
+{
+    orl_light_decode(&s->light, code, light);
+    for (uint32_t i = s->begin[k]; i < s->begin[k + 1]; i++) {
+        stage2_pixel *q = &s->px[i];
+        orl_sample o;
+        if (!q->surface) continue;
+        q->fix = 0;
+        if (!(light->sun_dir[2] > 0) || s->opt.without & WITHOUT_VISIBILITY) continue;
+        for (int a = 0; a < ORL_HORIZON; a++) o.horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
+        o.fix = 0;
+        q->fix = (int8_t)lrintf(127 * ((float)surface_sunlit(s->surf, q->x, q->n, light->sun_dir) - orl_light_sun_visibility(light, &o)));
+    }
+}
+
 typedef struct { float code[ORL_CODE]; double rms; int degenerate; } visit_result;
 typedef struct { stage2 *s; visit_result *out; } code_job;
 
@@ -393,18 +410,20 @@ static void code_photos(void *user, int begin, int end)
         size_t bytes = (orl_adapt_need() + 63) & ~(size_t)63;
         void *work = aligned_alloc(64, bytes);
         orl_sample *smp = malloc(ADAPT_SAMPLES * sizeof *smp);
+        orl_light *light = malloc(sizeof *light);
         share of = share_of(s, t);
         for (int v = of.first; v < visits(s); v += of.all) {
             int before, k = visit(s, v, &before), R = s->opt.rounds;
             int cold = before < 0 || (before < R / 10 && s->round >= R / 10) || (before < R / 4 && s->round >= R / 4) || (before < R / 2 && s->round >= R / 2);
             visit_result *o = &j->out[v];
             memcpy(o->code, s->codes[k], sizeof o->code);
-            if (!work || !smp) continue;
+            if (!work || !smp || !light) continue;
             uint32_t n = s->begin[k + 1] - s->begin[k], use = n < ADAPT_SAMPLES ? n : ADAPT_SAMPLES;
             rng r = rng_make(s->opt.seed, 0xada0 + (uint64_t)s->round, (uint64_t)k);
             for (uint32_t i = 0; i < use; i++) {
                 cells c;
                 make_sample(s, &s->px[s->begin[k] + rng_below(&r, n)], &smp[i], &c);
+                if (cold) smp[i].fix = 0;       /* of a sun that is not this one */
             }
             orl_adapt_options opt = orl_adapt_defaults();
             if (!cold) opt.max_iterations = 3;
@@ -417,9 +436,11 @@ static void code_photos(void *user, int begin, int end)
             if (!sound) continue;
             memcpy(o->code, res.code, sizeof res.code);
             o->rms = res.rms;
+            if (cold || s->round % TRACE_EVERY == 0 || s->w->nphotos > STAGE2_VISITS) trace_sun(s, k, o->code, light);
         }
         free(work);
         free(smp);
+        free(light);
     }
 }
 
@@ -620,12 +641,32 @@ void stage2_prior(stage2 *s)
     leave_out(s);
 }
 
+/* The traced suns of the pixels, which are many rounds' work. */
+static int save_suns(const stage2 *s, FILE *f)
+{
+    uint32_t n = s->begin[s->w->nphotos];
+    int bad = fwrite(&n, sizeof n, 1, f) != 1;
+    for (uint32_t i = 0; i < n; i++) bad |= putc((uint8_t)s->px[i].fix, f) == EOF;
+    return !bad;
+}
+
+/* Passed over where there are no pixels. */
+static int load_suns(stage2 *s, FILE *f)
+{
+    uint32_t n;
+    if (fread(&n, sizeof n, 1, f) != 1) return 0;
+    if (!s->px) return !fseek(f, (long)n, SEEK_CUR);
+    int c = n == s->begin[s->w->nphotos] ? 0 : EOF;
+    for (uint32_t i = 0; c != EOF && i < n; i++) if ((c = getc(f)) != EOF) s->px[i].fix = (int8_t)c;
+    return c != EOF;
+}
+
 orl_err stage2_save(const stage2 *s, FILE *f, int moments)
 {
     int n = s->codes ? s->w->nphotos : 0;
     int bad = fwrite(&s->light, sizeof s->light, 1, f) != 1 || fwrite(&s->round, sizeof s->round, 1, f) != 1 || fwrite(&n, sizeof n, 1, f) != 1 || fwrite(s->common, sizeof s->common, 1, f) != 1;
     bad |= n && fwrite(s->codes, sizeof *s->codes, (size_t)n, f) != (size_t)n;
-    if (moments) bad |= fwrite(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED;
+    if (moments) bad |= fwrite(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED || !save_suns(s, f);
     orl_err e = bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_save(&s->albedo[l], f, moments);
     for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_save(&s->ground[l], f, moments);
@@ -641,6 +682,7 @@ orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path)
     if (!s->codes) s->codes = malloc(((size_t)n + 1) * sizeof *s->codes);
     if (!s->codes || fread(s->codes, sizeof *s->codes, (size_t)n, f) != (size_t)n) return orl_fail(ORL_E_FORMAT, "%s: codes are cut short", path);
     if (moments && fread(s->adam, sizeof *s->adam, 2 * SHARED, f) != 2 * SHARED) return orl_fail(ORL_E_FORMAT, "%s: stage 2 moments are cut short", path);
+    if (moments && !load_suns(s, f)) return orl_fail(ORL_E_FORMAT, "%s: the pixels' suns are not those of these photos", path);
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_load(&s->albedo[l], f, moments, path);
     for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_load(&s->ground[l], f, moments, path);

@@ -10,6 +10,7 @@ enum { ALBEDO_LEVELS = 3, GROUND_LEVELS = 3, STAGE2_VISITS = 64 };
 typedef struct {
     float x[3], n[3];               /* surface point and normal; sky: x = direction */
     uint8_t open, horizon[ORL_HORIZON];
+    int8_t fix;                     /* of orl_sample, in 1/127, for the sun traced last */
     uint8_t rgb[3];                 /* target */
     uint8_t weight, surface;        /* weight / 255; MET_NOTHING: sky */
     uint8_t few;                    /* ground that few photos see: how many; else 0 */

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "oriel/view.h"
 
 #define MARCH_STEP 0.25f        /* fine cells, the least */
 #define SURFACE_CUT 0.03125f    /* fine cells: as deep in the solid as no surface on a brick's border can be */
@@ -199,6 +200,14 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
         t += inside ? 0.5f : fminf(fmaxf(0.9f * f, MARCH_STEP), 3.5f);
     }
     return 0;
+}
+
+int surface_sunlit(const surface *s, const float x[3], const float n[3], const float d[3])
+{
+    float o[3];
+    surface_hit h;
+    for (int a = 0; a < 3; a++) o[a] = x[a] + ORL_SUN_LIFT * n[a];
+    return n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0 && !surface_march(s, o, d, &h);
 }
 
 int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit)

@@ -418,7 +418,7 @@ static void relit_pictures(const orl_view *v, const orl_light *light, const doub
 /* Sums of PSNRs over the views of a test photo under other skies, gt/STEM_relit_SKY.exr. */
 typedef struct { double ours, noshadow; int n; } relit_sums;
 
-static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, const orl_view *v, const double R[9], const orl_imagef *depth, const orl_imagef *albedo, relit_sums *sum)
+static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, orl_view *v, const double R[9], const orl_imagef *depth, const orl_imagef *albedo, relit_sums *sum)
 {
     char dir[1100], start[300], what[300], path[2048];
     orl_imagef normal = { 0 };
@@ -440,6 +440,7 @@ static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_p
         if (!e) e = panorama_light(s, R, path, light);
         if (!e) e = read_truth(d, p, what, "RGB", &truth);
         if (!e) {
+            predict_sun(v, light, 0);
             relit_pictures(v, light, R, albedo, &normal, ours, plain);
             sum->ours += relit_score(ours, truth.px, depth->px, n, room);
             sum->noshadow += relit_score(plain, truth.px, depth->px, n, room);
@@ -463,7 +464,7 @@ static orl_err light_of_half(const orl_scene *s, const orl_photo *p, const truth
     orl_err e = orl_photo_load(p, o->long_side, &photo, &cam);
     if (!e) e = predict_cut(&photo, o->full_adapt ? photo.w : photo.w / 2, &known);
     if (!e) e = predict_view(s, &cam, &p->pose, 2, o->threads, &v, &mem);
-    if (!e) e = predict_light(s, &v, &known, fit);
+    if (!e) e = predict_light(s, &v, &known, o->threads, fit);
     free(mem);
     orl_image_free(&photo);
     orl_image_free(&known);
@@ -551,10 +552,10 @@ orl_err truth_kiosk(const orl_dataset *d, const orl_scene *s, const truth_option
         if (!e) e = orl_image_read(path, 3, &frame);
         if (!e && (frame.w != near.w || frame.h != near.h || truth.w != wide.w || truth.h != wide.h))
             e = orl_fail(ORL_E_FORMAT, "%s: frame or truth not of the camera's size", path);
-        if (!e) e = predict_light(s, &near, &frame, &fit);
+        if (!e) e = predict_light(s, &near, &frame, o->threads, &fit);
         if (!e) {
             orl_light_decode(&s->light, fit.code, light);
-            e = predict_shade(&wide, light, orl_cpu_detect(), &ours);
+            e = predict_shade(&wide, light, o->threads, orl_cpu_detect(), &ours);
         }
         if (!e && json) {
             double sun[3];

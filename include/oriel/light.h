@@ -14,7 +14,7 @@
  *   E_sun(n)    = exp(sun_rgb) max(0, n.s)
  *   E_ground(n) = ground * (E_sky(up) + E_sun(up)) * (1 - n_z) / 2
  *   s           = sigmoid(ORL_SHADOW_BIAS + sum_k l_s[k] phi_k)
- *   V           = smoothstep((elevation_sun - horizon(azimuth_sun)) / ORL_SUN_SOFT + 0.5), horizon linear between 16 azimuths i * 2 pi / 16
+ *   V           = clamp(smoothstep((elevation_sun - horizon(azimuth_sun)) / ORL_SUN_SOFT + 0.5) + fix, 0, 1), horizon linear between 16 azimuths i * 2 pi / 16; fix takes V to a traced sun's
  *   c           = albedo / pi * s (V E_sun + open E_sky + E_ground)            linear; s = 0.73 where neither code nor features speak, so that it can brighten and darken
  *   e           = encode(c), the sRGB transfer extended above 1 by its own power law, argument clamped to [0, ORL_LINEAR_MAX]
  *   sky         e_sky(v) = sum_j q_j M_j Y(v_rel), q = (1, sun elevation, z[8], own[4]), M_j 3 x 9, Y = (1, x, y, z, xy, yz, zx, x^2 - y^2, 3 z^2 - 1), v_rel = v turned by -sun azimuth about z
@@ -54,6 +54,7 @@ typedef struct {
     float normal[3];                /* unit, scene frame */
     float open;                     /* sky openness 0..1 */
     float horizon[ORL_HORIZON];     /* elevation in radians, 0..pi/2, of what hides the sun in each azimuth */
+    float fix;                      /* what the visibility of a traced sun has over the horizon's, -1..1; 0: not traced */
     float phi[ORL_SHADOW_DIM];      /* shadow features */
     float cov;                      /* 1 surface, 0 sky */
     float dir[3];                   /* unit view direction, from the camera outwards, scene frame */
@@ -77,7 +78,7 @@ void orl_light_decode(const orl_light_model *m, const float code[ORL_CODE], orl_
 /* From a user's environment instead of the code: radiance env[8*32][3] in the sun-relative frame and a sun; tone, shadow and sky codes come from code. */
 void orl_light_from_env(const orl_light_model *m, const float env[ORL_ENV][3], const float code[ORL_CODE], orl_light *out);
 void orl_light_esky(const orl_light *l, const float n[3], float e[3]);
-float orl_light_sun_visibility(const orl_light *l, const float horizon[ORL_HORIZON]);
+float orl_light_sun_visibility(const orl_light *l, const orl_sample *s);        /* V above */
 float orl_light_encode(float linear);           /* e(c) above */
 float orl_light_decode_srgb(float encoded);     /* its inverse, clamped to [0, ORL_LINEAR_MAX] */
 void orl_light_shade(const orl_light *l, const orl_sample *s, float rgb[3]);

@@ -12,11 +12,14 @@ typedef struct {
     uint8_t *open, *cov;            /* 0..255 */
     uint8_t *horizon;               /* [pixel][16] */
     int8_t  *phi;                   /* [pixel][8] */
+    int8_t *fix;                    /* what a traced sun has over the horizons', in 1/127; 0: not traced */
     uint8_t *vis;                   /* sun visibility under the current light, 0..255 */
     uint16_t *depth;                /* Q.4 fine cells along the ray, 65535 = none */
     float phi_scale[ORL_SHADOW_DIM];
     orl_camera cam; orl_pose pose;
     double grid_from_cam[9];        /* rotation camera -> scene frame (z up) */
+    double eye[3];                  /* grid frame */
+    const orl_scene *scene;         /* not owned; for orl_view_trace_sun */
     void *sky;                      /* coarse grid of sky directions, private */
 } orl_view;
 
@@ -25,6 +28,11 @@ size_t orl_view_need(int w, int h);                                 /* bytes, 64
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
+
+/* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
+ * sun moves, so trace again where it moved by more than a degree or so. Rows are independent. */
+#define ORL_SUN_LIFT 1.5f           /* what the surface is rough by */
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1);
 
 /* Tables of one light in fixed point (formats in runtime/kernels/shade.h). */
 typedef struct orl_view_light orl_view_light;
