@@ -18,8 +18,8 @@ typedef struct {
     unsigned cpu;
 } orl_widen_config;
 
-/* A view's sun: traced all at once when it jumps, by and by (a band of rows a frame, in step with nothing but the frames) when it creeps. */
-typedef struct { float dir[3]; int row, traced; } orl_sun_trace;       /* rows below `row` wait for the sun at dir */
+/* A view's sun: traced all at once when it jumps, by and by (a band of rows a frame) when it creeps. dir: where it stood when the trace under way began; rows from `row` on wait. */
+typedef struct { float dir[3]; int row, traced; } orl_sun_trace;
 
 typedef struct {
     orl_widen_config config;
