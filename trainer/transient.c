@@ -11,17 +11,17 @@
 #include "oriel/parallel.h"
 #include "trainer/order.h"
 
-enum { COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 100 };
-#define FLOOR 0.02f             /* of a residual's noise */
+enum { SATURATED = 250, COMPANIONS = 48, FEW = 2, REACH = 3, SFM_REACH = 2, SWEEPS = 100 };
+#define FLOOR 0.03f             /* of a residual's noise */
 #define UNSEEN 0.08f            /* noise where too few others look */
-#define EVEN 2.0f               /* evidence that speaks neither way, in noises */
+#define EVEN 1.7f               /* evidence that speaks neither way, in noises */
 #define FOUND 5.0f              /* what an SfM point takes off the evidence */
 #define LAMBDA 0.0015f
 #define EDGE 0.048f             /* colour step that halves the flow */
 #define CUT -0.28f
 #define USUAL 0.028f            /* the photo's own median residual counts beyond this */
 #define PLAIN 0.75f             /* of the ground's usual distance from common ground: what counts as ground */
-#define OVER 0.9f               /* light may be stronger than the model's by this share of the step from shadow to sun */
+#define OVER 8.0f               /* light may be stronger than the model's by so many steps from shadow to sun: where little of a photo is lit, its sun is found too weak */
 
 typedef uint8_t colour[3];
 /* t: along the ray, 0 = nothing met; the photo; the model as fitted, in full sun, in shadow; how far the photo is from common ground there. */
@@ -53,7 +53,10 @@ static float off_line(const colour c, const colour a, const colour b, const floa
         de += d[k] * e[k];
     }
     float t = dd > 1e-8f ? fminf(fmaxf(de / dd, 0), 1 + OVER) : 0;
-    for (int k = 0; k < 3; k++) r += (e[k] - t * d[k]) * (e[k] - t * d[k]);
+    for (int k = 0; k < 3; k++) {
+        float v = e[k] - t * d[k];
+        if (c[k] < SATURATED || v < 0) r += v * v;      /* saturated: any stronger light is as good */
+    }
     return sqrtf(r);
 }
 
@@ -62,6 +65,7 @@ static const float NOWHERE[3] = { 0 };
 static void sun_and_shade(const orl_light *l, orl_sample *s, colour lit, colour shade)
 {
     float rgb[3];
+    s->fix = 0;
     for (int k = 0; k < 2; k++) {
         for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] = k ? 1.5707963f : 0;
         orl_light_shade(l, s, rgb);
@@ -105,6 +109,7 @@ static void render_range(void *user, int begin, int end)
             if (met == MET_SURFACE) stage2_surface_sample(j->s2, h.x, h.n, &s);
             else if (met == MET_GROUND) stage2_ground_sample(j->s2, h.x, &s);
             if (met) q->t[i] = fmaxf(h.t, 1e-3f);
+            if (met && l->sun_dir[2] > 0 && !(j->s2->opt.without & WITHOUT_VISIBILITY)) s.fix = (float)surface_sunlit(j->s2->surf, h.x, h.n, l->sun_dir) - orl_light_sun_visibility(l, &s);
             memcpy(s.dir, d, sizeof d);
             orl_light_shade(l, &s, rgb);
             put_colour(rgb, q->fit[i]);
