@@ -120,15 +120,20 @@ static orl_err write_display(studio *s)
 
 /* ---- a day ---- */
 
+static void show_at(studio *s, const orl_sun *sun)
+{
+    orl_relight_set(&s->light, sun);
+    orl_relight_trace(&s->light, s->o->threads);
+    orl_relight_linear(&s->light, s->o->threads, s->linear);
+}
+
 /* One exposure for all of a clip: that of the brightest of five hours. */
 static float day_gain(studio *s, float rise)
 {
     float top = 0;
     for (int i = 0; i < 5; i++) {
         orl_sun sun = orl_day_sun(&s->day, rise * (0.8f - 0.4f * (float)i), &s->sky);
-        orl_relight_set(&s->light, &sun);
-        orl_relight_trace(&s->light, s->o->threads);
-        orl_relight_linear(&s->light, s->o->threads, s->linear);
+        show_at(s, &sun);
         float bright = orl_relight_bright(&s->light, s->linear, s->scratch);
         top = bright > top ? bright : top;
     }
@@ -154,9 +159,7 @@ static orl_err put_day(studio *s, orl_sink *sink, float rise)
     orl_err e = ORL_OK;
     for (int i = 0; !e && i < o->frames; i++) {
         orl_sun sun = orl_day_sun(&s->day, rise * (1 - (2 * (float)i + 1) / (float)o->frames), &s->sky);
-        orl_relight_set(&s->light, &sun);
-        orl_relight_trace(&s->light, o->threads);
-        orl_relight_linear(&s->light, o->threads, s->linear);
+        show_at(s, &sun);
         orl_relight_display(&s->light, o->threads, s->linear, gain, &s->tone, s->rgb.px);
         e = orl_sink_put(sink, s->rgb.px, (size_t)s->view.w * 3);
         progress(start, &told, i + 1, o->frames);

@@ -40,13 +40,7 @@ void orl_relight_init(orl_view *view, const orl_light_model *model, const orl_pa
     orl_relight_set(out, sun);
 }
 
-static void trace_rows(void *user, int begin, int end)
-{
-    orl_relight *r = user;
-    orl_view_trace_sun(r->view, &r->light, begin, end);
-}
-
-void orl_relight_trace(orl_relight *r, int threads) { orl_parallel(threads, r->view->h, GRAIN, trace_rows, r); }
+void orl_relight_trace(orl_relight *r, int threads) { orl_view_trace_sun(r->view, &r->light, 0, r->view->h, threads); }
 
 static float learned_shadow(const orl_light *l, const orl_sample *p)
 {

@@ -398,9 +398,14 @@ static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const or
     return !orl_march(v->scene, o, sun, &h);
 }
 
-void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1)
+typedef struct { orl_view *v; const orl_light *l; int y0; } trace_job;
+
+static void trace_rows(void *user, int begin, int end)
 {
-    for (int y = y0; y < y1; y++)
+    const trace_job *j = user;
+    orl_view *v = j->v;
+    const orl_light *l = j->l;
+    for (int y = j->y0 + begin; y < j->y0 + end; y++)
         for (int x = 0; x < v->w; x++) {
             size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
             orl_sample p;
@@ -409,6 +414,12 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1)
             orl_view_sample(v, x, y, &p);
             v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
         }
+}
+
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads)
+{
+    trace_job j = { v, l, y0 };
+    orl_parallel(threads, y1 - y0, GRAIN, trace_rows, &j);
 }
 
 /* ---- rows */

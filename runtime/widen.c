@@ -157,20 +157,6 @@ static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
 
 /* ---- the sun's way ---- */
 
-typedef struct { orl_view *v; const orl_light *light; int first; } tracing;
-
-static void trace_rows(void *user, int begin, int end)
-{
-    tracing *t = user;
-    orl_view_trace_sun(t->v, t->light, t->first + begin, t->first + end);
-}
-
-static void trace_band(const orl_widen *w, orl_view *v, int first, int end)
-{
-    tracing t = { v, w->light, first };
-    orl_parallel(w->config.threads, end - first, 8, trace_rows, &t);
-}
-
 /* Brings a view up to the light found last: w->light. */
 static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
 {
@@ -178,15 +164,35 @@ static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
     float c = s->dir[0] * now[0] + s->dir[1] * now[1] + s->dir[2] * now[2];
     if (!s->traced || !(c > SUN_JUMPS)) {
         *s = (orl_sun_trace){ { now[0], now[1], now[2] }, v->h, 1 };
-        trace_band(w, v, 0, v->h);
+        orl_view_trace_sun(v, w->light, 0, v->h, w->config.threads);
         return;
     }
     if (s->row == v->h && !(c > SUN_CREEPS)) *s = (orl_sun_trace){ { now[0], now[1], now[2] }, 0, 1 };
     if (s->row == v->h) return;
     int end = s->row + (v->h + BANDS - 1) / BANDS;
     if (end > v->h) end = v->h;
-    trace_band(w, v, s->row, end);
+    orl_view_trace_sun(v, w->light, s->row, end, w->config.threads);
     s->row = end;
+}
+
+static void follow_in_small(orl_widen *w)
+{
+    follow_sun(w, &w->small, &w->small_sun);
+    sample_small(w);
+}
+
+/* A light that was just found, by horizons alone, and the light that its traced sun leads to. */
+static orl_err settle(orl_widen *w)
+{
+    for (int k = 0; k < TRACES; k++) {
+        orl_adapt_result r;
+        follow_in_small(w);
+        orl_err e = fit(w, w->fit.code, &r);
+        if (e) return e;
+        if (r.status != ORL_ADAPT_DEGENERATE) w->fit = r;
+        orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    }
+    return ORL_OK;
 }
 
 /* ---- the light ---- */
@@ -256,15 +262,9 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     int found = w->fit.status != ORL_ADAPT_DEGENERATE, first = found && !w->adapted;
     w->adapted |= found;
     orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
-    for (int k = 0; !e && k < (first ? TRACES : found); k++) {
-        follow_sun(w, &w->small, &w->small_sun);
-        sample_small(w);
-        if (!first) break;
-        orl_adapt_result r;
-        if ((e = fit(w, w->fit.code, &r))) return e;
-        if (r.status != ORL_ADAPT_DEGENERATE) w->fit = r;
-        orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
-    }
+    if (first) e = settle(w);
+    else if (found) follow_in_small(w);
+    if (e) return e;
     if (found) follow_sun(w, &w->wide, &w->wide_sun);
     w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");

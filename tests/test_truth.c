@@ -116,7 +116,7 @@ static int set_up(void **state)
     put("gt/a_depth.exr", true_depth, 1);
     put("gt/a_normal.exr", true_normal, 3);
     by_hand();
-    orl_view_trace_sun(&view, &light, 0, H);
+    orl_view_trace_sun(&view, &light, 0, H, 1);
     return 0;
 }
 

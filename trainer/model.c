@@ -44,6 +44,7 @@ static void gbuffer_rows(void *user, int begin, int end)
     gbuffer_job *j = user;
     const orl_model *m = j->m;
     float o[3] = { (float)j->cam.centre[0], (float)j->cam.centre[1], (float)j->cam.centre[2] };
+    int trace = j->light && stage2_traces(&m->s2, j->light);
     float fwd[3] = { (float)j->cam.axes[2], (float)j->cam.axes[5], (float)j->cam.axes[8] };
     for (int y = begin; y < end; y++)
         for (int x = 0; x < j->cam.w; x++) {
@@ -63,7 +64,7 @@ static void gbuffer_rows(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
                 for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] += q.phi[a];
-                if (j->light) lit += (float)surface_sunlit(&m->surf, h.x, h.n, j->light->sun_dir);
+                if (trace) lit += (float)surface_sunlit(&m->surf, h.x, h.n, j->light->sun_dir);
                 s->open += q.open;
                 depth += h.t * (d[0] * fwd[0] + d[1] * fwd[1] + d[2] * fwd[2]);
                 hits++;
@@ -75,7 +76,7 @@ static void gbuffer_rows(void *user, int begin, int end)
                 for (int a = 0; a < 3; a++) s->normal[a] *= n;
                 for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] *= inv;
                 for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] *= inv;
-                if (j->light && j->light->sun_dir[2] > 0 && !(j->m->s2.opt.without & WITHOUT_VISIBILITY)) s->fix = lit * inv - orl_light_sun_visibility(j->light, s);
+                if (trace) s->fix = lit * inv - orl_light_sun_visibility(j->light, s);
                 s->open *= inv;
                 s->cov = hits / 4;
                 depth *= inv / (float)m->surf.f.scale;

@@ -3,7 +3,6 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include "oriel/parallel.h"
 
 enum { PIXELS = 3000, TRACES = 2 };         /* TRACES: as the runtime's (runtime/widen.c) */
 
@@ -60,20 +59,6 @@ orl_err predict_view(const orl_scene *s, const orl_camera *cam, const orl_pose *
     return orl_view_build(s, cam, pose, supersample, threads, *mem, need, v);
 }
 
-typedef struct { orl_view *v; const orl_light *light; } sun_job;
-
-static void sun_rows(void *user, int begin, int end)
-{
-    sun_job *j = user;
-    orl_view_trace_sun(j->v, j->light, begin, end);
-}
-
-void predict_sun(orl_view *v, const orl_light *light, int threads)
-{
-    sun_job j = { v, light };
-    orl_parallel(threads, v->h, 8, sun_rows, &j);
-}
-
 orl_err predict_light(const orl_scene *s, orl_view *v, const orl_image *known, int threads, orl_adapt_result *out)
 {
     int cap = 2 * PIXELS;
@@ -92,7 +77,7 @@ orl_err predict_light(const orl_scene *s, orl_view *v, const orl_image *known, i
             e = adapt(&s->light, sample, n, pass ? out->code : NULL, out);
             if (e || pass == TRACES) break;
             orl_light_decode(&s->light, out->code, light);
-            predict_sun(v, light, threads);
+            orl_view_trace_sun(v, light, 0, v->h, threads);
         }
     } else {
         e = orl_fail(ORL_E_MEMORY, "eval: no memory for samples");
@@ -110,7 +95,7 @@ orl_err predict_shade(orl_view *v, const orl_light *light, int threads, unsigned
     if (!e) {
         orl_view_light *l = orl_view_light_make(v, light, mem, need);
         if (l) {
-            predict_sun(v, light, threads);
+            orl_view_trace_sun(v, light, 0, v->h, threads);
             orl_view_relight(v, l, cpu, 0, v->h);
             orl_view_shade(v, l, cpu, 0, v->h, im.px, (size_t)v->w * 3);
             *out = im;

@@ -38,8 +38,6 @@ orl_err predict_cut(const orl_image *photo, int w, orl_image *out);
 orl_err predict_view(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, orl_view *v, void **mem);
 /* Light of a picture of the view's left columns; the sun is traced on the way. */
 orl_err predict_light(const orl_scene *s, orl_view *v, const orl_image *known, int threads, orl_adapt_result *out);
-/* Traces the sun of a light for all of the view. */
-void predict_sun(orl_view *v, const orl_light *light, int threads);
 /* The view under a light, its sun traced, by the integer kernels of cpu. */
 orl_err predict_shade(orl_view *v, const orl_light *light, int threads, unsigned cpu, orl_image *out);
 #endif

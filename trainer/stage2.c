@@ -383,6 +383,13 @@ static int visit(const stage2 *s, int i, int *before)
 typedef struct { int first, all; } share;
 static share share_of(const stage2 *s, int t) { return (share){ ranks_mine() * s->opt.threads + t, ranks_count() * s->opt.threads }; }
 
+int stage2_traces(const stage2 *s, const orl_light *l) { return l->sun_dir[2] > 0 && !(s->opt.without & WITHOUT_VISIBILITY); }
+
+float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const float n[3], const orl_sample *o)
+{
+    return stage2_traces(s, l) ? (float)surface_sunlit(s->surf, x, n, l->sun_dir) - orl_light_sun_visibility(l, o) : 0;
+}
+
 /* Does the sun of a code reach the photo's pixels? Kept as what the horizons miss. */
 static void trace_sun(stage2 *s, int k, const float code[ORL_CODE], orl_light *light)
 {
@@ -391,11 +398,9 @@ static void trace_sun(stage2 *s, int k, const float code[ORL_CODE], orl_light *l
         stage2_pixel *q = &s->px[i];
         orl_sample o;
         if (!q->surface) continue;
-        q->fix = 0;
-        if (!(light->sun_dir[2] > 0) || s->opt.without & WITHOUT_VISIBILITY) continue;
         for (int a = 0; a < ORL_HORIZON; a++) o.horizon[a] = q->horizon[a] * (1.5707963f / 255.0f);
         o.fix = 0;
-        q->fix = (int8_t)lrintf(127 * ((float)surface_sunlit(s->surf, q->x, q->n, light->sun_dir) - orl_light_sun_visibility(light, &o)));
+        q->fix = (int8_t)lrintf(127 * stage2_fix(s, light, q->x, q->n, &o));
     }
 }
 

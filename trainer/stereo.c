@@ -5,12 +5,12 @@
  * Patches are 61 samples (the black fields of 11 x 11), weighted by likeness of grey to the centre; a companion's picture is stored as its four bilinear corners in one word, so that a sample is one gather.
  * Red pixels read black ones only and companions' maps are frozen during a pass: results do not depend on threads. */
 #include "trainer/stereo.h"
-#include "trainer/facing.h"
 #include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
+#include "trainer/facing.h"
 #include "trainer/order.h"
 #include "trainer/ranks.h"
 #include "trainer/grid.h"

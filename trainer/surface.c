@@ -4,7 +4,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/parallel.h"
-#include "oriel/view.h"
 
 #define MARCH_STEP 0.25f        /* fine cells, the least */
 #define SURFACE_CUT 0.03125f    /* fine cells: as deep in the solid as no surface on a brick's border can be */

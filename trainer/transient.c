@@ -109,7 +109,7 @@ static void render_range(void *user, int begin, int end)
             if (met == MET_SURFACE) stage2_surface_sample(j->s2, h.x, h.n, &s);
             else if (met == MET_GROUND) stage2_ground_sample(j->s2, h.x, &s);
             if (met) q->t[i] = fmaxf(h.t, 1e-3f);
-            if (met && l->sun_dir[2] > 0 && !(j->s2->opt.without & WITHOUT_VISIBILITY)) s.fix = (float)surface_sunlit(j->s2->surf, h.x, h.n, l->sun_dir) - orl_light_sun_visibility(l, &s);
+            if (met) s.fix = stage2_fix(j->s2, l, h.x, h.n, &s);
             memcpy(s.dir, d, sizeof d);
             orl_light_shade(l, &s, rgb);
             put_colour(rgb, q->fit[i]);

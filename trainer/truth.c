@@ -440,7 +440,7 @@ static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_p
         if (!e) e = panorama_light(s, R, path, light);
         if (!e) e = read_truth(d, p, what, "RGB", &truth);
         if (!e) {
-            predict_sun(v, light, 0);
+            orl_view_trace_sun(v, light, 0, v->h, 0);
             relit_pictures(v, light, R, albedo, &normal, ours, plain);
             sum->ours += relit_score(ours, truth.px, depth->px, n, room);
             sum->noshadow += relit_score(plain, truth.px, depth->px, n, room);

@@ -14,6 +14,7 @@ enum { ORL_GROUND_SIDE = 96, ORL_CUTS = 16 };      /* CUTS: sections of the soli
 #define ORL_GROUND_FALL 1e-3f   /* least slope at which a ray falls on the ground */
 #define ORL_GROUND_FAR 1e5f     /* cells */
 #define ORL_GROUND_CUT 0.02f    /* of the box's side along x: a cut no higher over the plane is the ground's, a higher one is passed through */
+#define ORL_SUN_LIFT 1.5f       /* cells over a surface at which rays to the sun begin: what it is rough by */
 #define ORL_GROUND_EYE 0.015f   /* least height of an eye over the ground, of the box's side along x: land is not as flat as a plane, and nobody's eye is under it */
 enum { ORL_BRICK = 8, ORL_BRICK_V = 9, ORL_BRICK_VERTS = 729, ORL_LITE_V = 3, ORL_LITE_VERTS = 27, ORL_LITE_BYTES = 17 };
 #define ORL_SDF_UNIT 32         /* sdf int8 is in 1/32 cell, saturating: -4 .. +3.97 cells; positive = free space */

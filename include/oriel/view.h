@@ -30,9 +30,8 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
 
 /* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
- * sun moves, so trace again where it moved by more than a degree or so. Rows are independent. */
-#define ORL_SUN_LIFT 1.5f           /* what the surface is rough by */
-void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1);
+ * sun moves, so trace again where it moved by more than a degree or so. Bit-identical for any thread count. */
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads);
 
 /* Tables of one light in fixed point (formats in runtime/kernels/shade.h). */
 typedef struct orl_view_light orl_view_light;
