@@ -421,6 +421,13 @@ float orl_light_sun_visibility(const orl_light *l, const orl_sample *s)
     return visibility(l, s, &a, &b);
 }
 
+float orl_light_shadow(const orl_light *l, const orl_sample *s)
+{
+    float x = ORL_SHADOW_BIAS;
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) x += l->code[ORL_C_SHADOW + k] * s->phi[k];
+    return 1 / (1 + orl_expf(-x));
+}
+
 /* The surface's part of a sample with all that its derivatives need. */
 typedef struct {
     float rel[3], vis, vis_az, vis_el, s, below;    /* below: share of the lower hemisphere, (1 - n_z) / 2 */
@@ -434,10 +441,9 @@ static void shade_surface(const orl_light *l, const orl_sample *o, surface *r)
 {
     turn(l, o->normal, r->rel);
     footprint_of(r->rel, &r->f);
-    float linear[3], x = ORL_SHADOW_BIAS;
+    float linear[3];
     v4 sky = fetch(l->esky[0], &r->f, &r->open);
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) x += l->code[ORL_C_SHADOW + k] * o->phi[k];
-    r->s = 1 / (1 + orl_expf(-x));
+    r->s = orl_light_shadow(l, o);
     r->vis = visibility(l, o, &r->vis_az, &r->vis_el);
     float d = o->normal[0] * l->sun_dir[0] + o->normal[1] * l->sun_dir[1] + o->normal[2] * l->sun_dir[2];
     r->cosine = d > 0 ? d : 0;
@@ -447,6 +453,13 @@ static void shade_surface(const orl_light *l, const orl_sample *o, surface *r)
         linear[c] = o->albedo[c] * (1 / PI) * r->irr[c];
     }
     encode(linear, r->e, r->slope);
+}
+
+void orl_light_irradiance(const orl_light *l, const orl_sample *s, float e[3])
+{
+    surface r;
+    shade_surface(l, s, &r);
+    memcpy(e, r.irr, sizeof r.irr);
 }
 
 static void sky_y(const float rel[3], float y[ORL_SKY_Y])

@@ -12,7 +12,7 @@
 enum { W = ORL_PANORAMA_BINS, H = W / 2, BAND = H / 2 / ORL_ENV_ROWS };
 
 static float dot3(const float *a, const float *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-static float luminance(const float *c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
+float orl_luminance(const float rgb[3]) { return 0.2126f * rgb[0] + 0.7152f * rgb[1] + 0.0722f * rgb[2]; }
 
 static void direction(float az, float el, float d[3])
 {
@@ -34,7 +34,14 @@ static int by_value(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static int in_lobe(const orl_panorama *p, const float d[3], const float *px) { return dot3(d, p->peak) > orl_cosf(LOBE) && luminance(px) > 4 * luminance(p->rest); }
+float orl_percentile(float *v, size_t n, size_t percent)
+{
+    if (!n) return 0;
+    qsort(v, n, sizeof *v, by_value);
+    return v[n * percent / 100];
+}
+
+static int in_lobe(const orl_panorama *p, const float d[3], const float *px) { return dot3(d, p->peak) > orl_cosf(LOBE) && orl_luminance(px) > 4 * orl_luminance(p->rest); }
 
 /* Median of the sky around the brightest pixel. */
 static orl_err find_rest(const orl_imagef *m, orl_panorama *p)
@@ -49,10 +56,7 @@ static orl_err find_rest(const orl_imagef *m, orl_panorama *p)
         for (int k = 0; k < 3; k++) ring[(size_t)k * n + count] = m->px[3 * i + (size_t)k];
         count++;
     }
-    for (int k = 0; k < 3 && count; k++) {
-        qsort(ring + (size_t)k * n, count, sizeof *ring, by_value);
-        p->rest[k] = ring[(size_t)k * n + count / 2];
-    }
+    for (int k = 0; k < 3 && count; k++) p->rest[k] = orl_percentile(ring + (size_t)k * n, count, 50);
     free(ring);
     return ORL_OK;
 }
@@ -64,8 +68,8 @@ static orl_err find_sun(const orl_imagef *m, orl_panorama *p)
     float d[3], sum[3] = { 0 }, whole = 0;
     for (size_t i = 0; i < n; i++) {
         int y = (int)(i / W);
-        if (luminance(m->px + 3 * i) > luminance(m->px + 3 * best)) best = i;
-        whole += luminance(m->px + 3 * i) * pixel_area(m, y) * orl_sinf((0.5f - ((float)y + 0.5f) / H) * PI);
+        if (orl_luminance(m->px + 3 * i) > orl_luminance(m->px + 3 * best)) best = i;
+        whole += orl_luminance(m->px + 3 * i) * pixel_area(m, y) * orl_sinf((0.5f - ((float)y + 0.5f) / H) * PI);
     }
     pixel_dir(m, (int)(best % W), (int)(best / W), p->peak);
     orl_err e = find_rest(m, p);
@@ -75,11 +79,11 @@ static orl_err find_sun(const orl_imagef *m, orl_panorama *p)
         if (!in_lobe(p, d, px)) continue;
         for (int k = 0; k < 3; k++) {
             p->rgb[k] += (px[k] > p->rest[k] ? px[k] - p->rest[k] : 0) * area;
-            sum[k] += luminance(px) * area * d[k];
+            sum[k] += orl_luminance(px) * area * d[k];
         }
     }
     float len = sqrtf(dot3(sum, sum));
-    p->has_sun = luminance(p->rgb) > 0.05f * whole && len > 0;
+    p->has_sun = orl_luminance(p->rgb) > 0.05f * whole && len > 0;
     if (!p->has_sun) {
         memset(p->rgb, 0, sizeof p->rgb);
         memcpy(sum, p->peak, sizeof sum);

@@ -28,4 +28,7 @@ orl_sun orl_panorama_sun(const orl_panorama *p);                        /* where
 void orl_panorama_env(const orl_panorama *p, const orl_sun *sun, float env[ORL_ENV][3]);
 /* Radiance in a scene direction, the sun's disc and glow where the sun stands. */
 void orl_panorama_look(const orl_panorama *p, const orl_sun *sun, const float dir[3], float rgb[3]);
+
+float orl_luminance(const float rgb[3]);                                /* linear, Rec. 709 */
+float orl_percentile(float *v, size_t n, size_t percent);              /* sorts v; 0 of nothing */
 #endif

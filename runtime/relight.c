@@ -1,16 +1,12 @@
 /* Re-lighting by a panorama (runtime/relight.h): orl_relight_set -> per pixel layers -> linear picture -> display. */
 #include "runtime/relight.h"
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 #include "oriel/math.h"
 #include "oriel/parallel.h"
 
 #define PI 3.14159265f
-#define PROBE 0.25f                     /* base colour that irradiance is measured by: dark, to stay clear of the encoding's upper end */
 enum { GRAIN = 8 };
-
-static float luminance(const float *c) { return 0.2126f * c[0] + 0.7152f * c[1] + 0.0722f * c[2]; }
 
 void orl_relight_set(orl_relight *r, const orl_sun *sun)
 {
@@ -36,24 +32,16 @@ void orl_relight_init(orl_view *view, const orl_light_model *model, const orl_pa
     orl_relight_set(out, sun);
     orl_light_esky(&out->light, (const float[]) { 0, 0, 1 }, up);
     for (int k = 0; k < 3; k++) up[k] += sun->rgb[k] * orl_sinf(sun->el);
-    out->level = luminance(up) > 0 ? PI / luminance(up) : 1;
+    out->level = orl_luminance(up) > 0 ? PI / orl_luminance(up) : 1;
     orl_relight_set(out, sun);
 }
 
 void orl_relight_trace(orl_relight *r, int threads) { orl_view_trace_sun(r->view, &r->light, 0, r->view->h, threads); }
 
-static float learned_shadow(const orl_light *l, const orl_sample *p)
-{
-    float x = ORL_SHADOW_BIAS;
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) x += l->code[ORL_C_SHADOW + k] * p->phi[k];
-    return 1 / (1 + orl_expf(-x));
-}
-
-/* The light model gives colours; a surface of known base colour makes irradiance of them. */
 void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out)
 {
     orl_sample p;
-    float e[3], far[3] = { 0 };
+    float far[3] = { 0 };
     memset(&p, 0, sizeof p);
     memset(out, 0, sizeof *out);
     orl_view_sample(r->view, x, y, &p);
@@ -62,11 +50,9 @@ void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out)
     if (p.cov > 0) {
         memcpy(out->albedo, p.albedo, sizeof p.albedo);
         memcpy(out->normal, p.normal, sizeof p.normal);
-        out->shadow = learned_shadow(&r->light, &p) * orl_light_sun_visibility(&r->light, &p);
-        p.albedo[0] = p.albedo[1] = p.albedo[2] = PROBE;
-        p.cov = 1;
-        orl_light_shade(&r->light, &p, e);
-        for (int c = 0; c < 3; c++) out->irradiance[c] = orl_light_decode_srgb(e[c]) * (PI / PROBE) / r->level;
+        out->shadow = orl_light_shadow(&r->light, &p) * orl_light_sun_visibility(&r->light, &p);
+        orl_light_irradiance(&r->light, &p, out->irradiance);
+        for (int c = 0; c < 3; c++) out->irradiance[c] /= r->level;
     }
     for (int c = 0; c < 3; c++) {
         out->sky[c] = (1 - out->cov) * far[c];
@@ -114,20 +100,12 @@ void orl_relight_display(const orl_relight *r, int threads, const float *linear,
     orl_parallel(threads, r->view->h, GRAIN, display_rows, &j);
 }
 
-static int by_value(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 float orl_relight_bright(const orl_relight *r, const float *linear, float *scratch)
 {
     const orl_view *v = r->view;
     size_t n = 0;
     for (int y = 0; y < v->h; y++)
         for (int x = 0; x < v->w; x++)
-            if (v->cov[(size_t)y * (size_t)v->stride + (size_t)x] == 255) scratch[n++] = luminance(linear + ((size_t)y * (size_t)v->w + (size_t)x) * 3);
-    if (!n) return 0;
-    qsort(scratch, n, sizeof *scratch, by_value);
-    return scratch[n * 95 / 100];
+            if (v->cov[(size_t)y * (size_t)v->stride + (size_t)x] == 255) scratch[n++] = orl_luminance(linear + ((size_t)y * (size_t)v->w + (size_t)x) * 3);
+    return orl_percentile(scratch, n, 95);
 }

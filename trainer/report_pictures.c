@@ -69,8 +69,8 @@ orl_err report_add_difference(page *p, const orl_image *a, const orl_image *b, c
 
 /* ---- layers of a view ---- */
 
-/* What a layer is painted with. white: the light without tone, times exposure. */
-typedef struct { report_layer what; const orl_view *v; const orl_light *light; orl_light *white; double exposure, near, far; } brush;
+/* What a layer is painted with. exposure: of irradiance. */
+typedef struct { report_layer what; const orl_view *v; const orl_light *light; double exposure, near, far; } brush;
 
 static uint8_t byte_of(double v) { return (uint8_t)(fmin(fmax(v, 0), 1) * 255 + 0.5); }
 
@@ -83,27 +83,9 @@ static void ramp(double t, double out[3])       /* yellow, green, teal, dark blu
     for (int c = 0; c < 3; c++) out[c] = STOP[(int)q][c] * (1 - f) + STOP[(int)q + 1][c] * f;
 }
 
-/* Light that a white surface sends back, linear. */
-static void shading(const orl_light *white, const orl_sample *q, double out[3])
-{
-    orl_sample s = *q;
-    float rgb[3];
-    for (int c = 0; c < 3; c++) s.albedo[c] = 1;
-    s.cov = 1;
-    orl_light_shade(white, &s, rgb);
-    for (int c = 0; c < 3; c++) out[c] = orl_light_decode_srgb(rgb[c]);
-}
-
 static double sun_visible(const orl_light *l, const orl_sample *q)      /* faces that are turned away lie in their own shade */
 {
     return q->normal[0] * l->sun_dir[0] + q->normal[1] * l->sun_dir[1] + q->normal[2] * l->sun_dir[2] > 0 ? orl_light_sun_visibility(l, q) : 0;
-}
-
-static double shadow_factor(const orl_light *l, const orl_sample *q)
-{
-    double u = ORL_SHADOW_BIAS;
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) u += l->code[ORL_C_SHADOW + k] * q->phi[k];
-    return 1 / (1 + exp(-u));
 }
 
 static double clay(const orl_view *v, const orl_sample *q)      /* lit from behind the left shoulder */
@@ -117,16 +99,17 @@ static double clay(const orl_view *v, const orl_sample *q)      /* lit from behi
 static void colour_of(const brush *b, const orl_sample *q, uint16_t z, double rgb[3])
 {
     double grey = 0;
+    float e[3];
     switch (b->what) {
     case LAYER_BASE: for (int c = 0; c < 3; c++) rgb[c] = orl_light_encode(q->albedo[c]); return;
     case LAYER_NORMALS: for (int c = 0; c < 3; c++) rgb[c] = 0.5 + 0.5 * q->normal[c]; return;
     case LAYER_SHADING:
-        shading(b->white, q, rgb);
-        for (int c = 0; c < 3; c++) rgb[c] = orl_light_encode((float)(b->exposure * rgb[c]));
+        orl_light_irradiance(b->light, q, e);
+        for (int c = 0; c < 3; c++) rgb[c] = orl_light_encode((float)(b->exposure * e[c]));
         return;
     case LAYER_DEPTH: if (z != 65535) ramp(log(z / b->near + 1e-9) / log((b->far + 1) / b->near), rgb); return;
     case LAYER_SUN: grey = sun_visible(b->light, q); break;
-    case LAYER_SHADOW: grey = shadow_factor(b->light, q); break;
+    case LAYER_SHADOW: grey = orl_light_shadow(b->light, q); break;
     case LAYER_CLAY: grey = clay(b->v, q); break;
     }
     for (int c = 0; c < 3; c++) rgb[c] = grey;
@@ -149,27 +132,21 @@ static void find_exposure(brush *b, double *room)
     for (int y = 0; y < b->v->h; y += 2)
         for (int x = 0; x < b->v->w; x += 2) {
             orl_sample q;
-            double rgb[3];
+            float e[3];
             orl_view_sample(b->v, x, y, &q);
             if (q.cov <= 0.5f) continue;
-            shading(b->white, &q, rgb);
-            room[n++] = (rgb[0] + rgb[1] + rgb[2]) / 3;
+            orl_light_irradiance(b->light, &q, e);
+            room[n++] = (e[0] + e[1] + e[2]) / 3;
         }
     b->exposure = 0.8 / fmax(order_percentile(room, n, 0.95), 1e-6);
 }
 
-static orl_err prepare(brush *b, const orl_light_model *m)
+static orl_err prepare(brush *b)
 {
-    float code[ORL_CODE];
     double *room = malloc(((size_t)b->v->w * (size_t)b->v->h + 1) * sizeof *room);
     if (!room) return orl_fail(ORL_E_MEMORY, "report: no memory");
     if (b->what == LAYER_DEPTH) depth_range(b, room);
-    if (b->what == LAYER_SHADING) {
-        memcpy(code, b->light->code, sizeof code);
-        memset(code + ORL_C_TONE, 0, ORL_TONE_DIM * sizeof *code);
-        orl_light_decode(m, code, b->white);
-        find_exposure(b, room);
-    }
+    if (b->what == LAYER_SHADING) find_exposure(b, room);
     free(room);
     return ORL_OK;
 }
@@ -190,14 +167,13 @@ static void paint(const brush *b, orl_image *im)
 
 orl_err report_add_layer(page *p, const orl_view *v, report_layer what, const orl_light *light, int side, const char *of, const char *caption)
 {
-    brush b = { .what = what, .v = v, .light = light, .white = malloc(sizeof *b.white) };
+    brush b = { .what = what, .v = v, .light = light };
     orl_image im = { 0 };
-    orl_err e = b.white ? orl_image_alloc(&im, v->w, v->h, 3) : orl_fail(ORL_E_MEMORY, "report: no memory for a light");
-    if (!e) e = prepare(&b, &p->s->light);
+    orl_err e = orl_image_alloc(&im, v->w, v->h, 3);
+    if (!e) e = prepare(&b);
     if (!e) paint(&b, &im);
     if (!e) e = report_picture(p, &im, side, of, caption);
     orl_image_free(&im);
-    free(b.white);
     return e;
 }
 

@@ -79,6 +79,8 @@ void orl_light_decode(const orl_light_model *m, const float code[ORL_CODE], orl_
 void orl_light_from_env(const orl_light_model *m, const float env[ORL_ENV][3], const float code[ORL_CODE], orl_light *out);
 void orl_light_esky(const orl_light *l, const float n[3], float e[3]);
 float orl_light_sun_visibility(const orl_light *l, const orl_sample *s);        /* V above */
+float orl_light_shadow(const orl_light *l, const orl_sample *s);                /* s above */
+void orl_light_irradiance(const orl_light *l, const orl_sample *s, float e[3]); /* c pi / albedo above: sun, sky and ground, shadows in it */
 float orl_light_encode(float linear);           /* e(c) above */
 float orl_light_decode_srgb(float encoded);     /* its inverse, clamped to [0, ORL_LINEAR_MAX] */
 void orl_light_shade(const orl_light *l, const orl_sample *s, float rgb[3]);
