@@ -37,57 +37,69 @@ void orl_model_free(orl_model *m)
 const orl_light_model *orl_model_light(const orl_model *m) { return &m->s2.light; }
 void orl_model_up(const orl_model *m, double R[9]) { memcpy(R, m->surf.f.R, sizeof m->surf.f.R); }
 
-typedef struct { const orl_model *m; world_photo cam; const orl_light *light; orl_sample *out; float *depth; } gbuffer_job;
+/* pixel: indices of those wanted; NULL: all of them. */
+typedef struct { const orl_model *m; world_photo cam; const orl_light *light; const int *pixel; orl_sample *out; float *depth; } gbuffer_job;
 
-static void gbuffer_rows(void *user, int begin, int end)
+/* Four rays: attributes averaged, coverage counted. Returns the mean depth, 0 without surface. */
+static float pixel_sample(const gbuffer_job *j, int x, int y, orl_sample *s)
 {
-    gbuffer_job *j = user;
     const orl_model *m = j->m;
-    float o[3] = { (float)j->cam.centre[0], (float)j->cam.centre[1], (float)j->cam.centre[2] };
+    const float o[3] = { (float)j->cam.centre[0], (float)j->cam.centre[1], (float)j->cam.centre[2] };
+    const float fwd[3] = { (float)j->cam.axes[2], (float)j->cam.axes[5], (float)j->cam.axes[8] };
     int trace = j->light && stage2_traces(&m->s2, j->light);
-    float fwd[3] = { (float)j->cam.axes[2], (float)j->cam.axes[5], (float)j->cam.axes[8] };
-    for (int y = begin; y < end; y++)
-        for (int x = 0; x < j->cam.w; x++) {
-            orl_sample *s = &j->out[(size_t)y * (size_t)j->cam.w + (size_t)x];
-            memset(s, 0, sizeof *s);
-            world_ray(&j->cam, x + 0.5, y + 0.5, s->dir);
-            float hits = 0, depth = 0, lit = 0;
-            for (int k = 0; k < 4; k++) {       /* four rays: attributes averaged, coverage counted */
-                float d[3];
-                surface_hit h;
-                world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
-                orl_sample q;
-                int met = surface_meet(&m->surf, o, d, &h);
-                if (met == MET_SURFACE) stage2_surface_sample(&m->s2, h.x, h.n, &q);
-                else if (met == MET_GROUND) stage2_ground_sample(&m->s2, h.x, &q);
-                else continue;
-                for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
-                for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];
-                for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] += q.phi[a];
-                if (trace) lit += (float)surface_sunlit(&m->surf, h.x, h.n, j->light->sun_dir);
-                s->open += q.open;
-                depth += h.t * (d[0] * fwd[0] + d[1] * fwd[1] + d[2] * fwd[2]);
-                hits++;
-            }
-            if (hits > 0) {
-                float inv = 1 / hits, n = 0;
-                for (int a = 0; a < 3; a++) { s->albedo[a] *= inv; n += s->normal[a] * s->normal[a]; }
-                n = n > 1e-12f ? 1 / sqrtf(n) : 0;
-                for (int a = 0; a < 3; a++) s->normal[a] *= n;
-                for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] *= inv;
-                for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] *= inv;
-                if (trace) s->fix = lit * inv - orl_light_sun_visibility(j->light, s);
-                s->open *= inv;
-                s->cov = hits / 4;
-                depth *= inv / (float)m->surf.f.scale;
-            }
-            if (j->depth) j->depth[(size_t)y * (size_t)j->cam.w + (size_t)x] = depth;
-        }
+    float hits = 0, depth = 0, lit = 0;
+    memset(s, 0, sizeof *s);
+    world_ray(&j->cam, x + 0.5, y + 0.5, s->dir);
+    for (int k = 0; k < 4; k++) {
+        float d[3];
+        surface_hit h;
+        world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
+        orl_sample q;
+        int met = surface_meet(&m->surf, o, d, &h);
+        if (met == MET_SURFACE) stage2_surface_sample(&m->s2, h.x, h.n, &q);
+        else if (met == MET_GROUND) stage2_ground_sample(&m->s2, h.x, &q);
+        else continue;
+        for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
+        for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];
+        for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] += q.phi[a];
+        if (trace) lit += (float)surface_sunlit(&m->surf, h.x, h.n, j->light->sun_dir);
+        s->open += q.open;
+        depth += h.t * (d[0] * fwd[0] + d[1] * fwd[1] + d[2] * fwd[2]);
+        hits++;
+    }
+    if (hits == 0) return 0;
+    float inv = 1 / hits, n = 0;
+    for (int a = 0; a < 3; a++) { s->albedo[a] *= inv; n += s->normal[a] * s->normal[a]; }
+    n = n > 1e-12f ? 1 / sqrtf(n) : 0;
+    for (int a = 0; a < 3; a++) s->normal[a] *= n;
+    for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] *= inv;
+    for (int a = 0; a < ORL_SHADOW_DIM; a++) s->phi[a] *= inv;
+    if (trace) s->fix = lit * inv - orl_light_sun_visibility(j->light, s);
+    s->open *= inv;
+    s->cov = hits / 4;
+    return depth * (inv / (float)m->surf.f.scale);
+}
+
+static void gbuffer_pixels(void *user, int begin, int end)
+{
+    const gbuffer_job *j = user;
+    for (int i = begin; i < end; i++) {
+        int at = j->pixel ? j->pixel[i] : i;
+        float depth = pixel_sample(j, at % j->cam.w, at / j->cam.w, &j->out[i]);
+        if (j->depth) j->depth[i] = depth;
+    }
 }
 
 void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int threads, orl_sample *out, float *depth)
 {
     gbuffer_job j = { .m = m, .light = light, .out = out, .depth = depth };
     frame_view(&m->surf.f, cam, pose, &j.cam);
-    orl_parallel(threads, cam->h, 4, gbuffer_rows, &j);
+    orl_parallel(threads, cam->w * cam->h, 1024, gbuffer_pixels, &j);
+}
+
+void orl_model_samples(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, const int *pixel, int n, int threads, orl_sample *out)
+{
+    gbuffer_job j = { .m = m, .light = light, .pixel = pixel, .out = out };
+    frame_view(&m->surf.f, cam, pose, &j.cam);
+    orl_parallel(threads, n, 64, gbuffer_pixels, &j);
 }

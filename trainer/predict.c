@@ -132,18 +132,17 @@ static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const o
     const orl_light_model *model = orl_model_light(s->model);
     orl_sample *g = calloc(pixels, sizeof *g), *sample = calloc((size_t)cap, sizeof *sample);
     spot *at = malloc((size_t)cap * sizeof *at);
+    int *pixel = malloc((size_t)cap * sizeof *pixel);
     orl_light *light = malloc(sizeof *light);
     orl_imagef im = { 0 };
-    orl_err e = g && sample && at && light ? orl_imagef_alloc(&im, cam->w, cam->h, 3)
+    orl_err e = g && sample && at && pixel && light ? orl_imagef_alloc(&im, cam->w, cam->h, 3)
                                            : orl_fail(ORL_E_MEMORY, "eval: no memory for %zu samples", pixels);
     if (e) goto done;
     int n = pick(known->w, known->h, at, cap);
+    for (int i = 0; i < n; i++) pixel[i] = at[i].y * cam->w + at[i].x;
     for (int pass = 0; pass <= TRACES; pass++) {
-        orl_model_gbuffer(s->model, cam, pose, pass ? light : NULL, s->threads, g, NULL);
-        for (int i = 0; i < n; i++) {
-            sample[i] = g[(size_t)at[i].y * (size_t)cam->w + (size_t)at[i].x];
-            observe(known, at[i], &sample[i]);
-        }
+        orl_model_samples(s->model, cam, pose, pass ? light : NULL, pixel, n, s->threads, sample);
+        for (int i = 0; i < n; i++) observe(known, at[i], &sample[i]);
         if ((e = adapt(model, sample, n, pass ? fit->code : NULL, fit))) goto done;
         orl_light_decode(model, fit->code, light);
     }
@@ -151,7 +150,7 @@ static orl_err predict_float(const eval_setup *s, const orl_camera *cam, const o
     for (size_t i = 0; i < pixels; i++) orl_light_shade(light, &g[i], im.px + 3 * i);
     e = orl_image_from_float(&im, out);
 done:
-    free(g); free(sample); free(at); free(light);
+    free(g); free(sample); free(at); free(pixel); free(light);
     orl_imagef_free(&im);
     return e;
 }

@@ -9,6 +9,8 @@ void orl_model_free(orl_model *m);
 const orl_light_model *orl_model_light(const orl_model *m);
 /* Surface samples of every pixel (row-major, cam->w * cam->h), rgb and weight 0. light: whose sun is traced (fix); NULL: none. depth (may be NULL): world units along the optical axis, 0 = sky. */
 void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int threads, orl_sample *out, float *depth);
+/* The same of n pixels only, by index. */
+void orl_model_samples(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, const int *pixel, int n, int threads, orl_sample *out);
 /* Scene frame: rotation world -> scene frame (z up). */
 void orl_model_up(const orl_model *m, double R[9]);
 #endif
