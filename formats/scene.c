@@ -376,7 +376,8 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     if (e) return e;
     const void *data[TAGS] = { [SKYD] = &skyd, [SKYG] = &skyg, [PRIO] = &prio, [CODE] = s->ncodes ? s->codes : NULL };
     uint64_t bytes[TAGS] = { [SKYD] = sizeof skyd, [SKYG] = sizeof skyg, [PRIO] = sizeof prio, [CODE] = (uint64_t)s->ncodes * ORL_CODE * sizeof(float), [META] = sizeof s->title };
-    for (int k = 0; k < s->facings.n && k < ORL_FACINGS; k++)
+    if (s->facings.n < 0 || s->facings.n > ORL_FACINGS) return orl_fail(ORL_E_RANGE, "%s: %d directions that walls face", path, s->facings.n);
+    for (int k = 0; k < s->facings.n; k++)
         for (int a = 0; a < 3; a++) {
             float v = s->facings.dir[k][a] * FACE_ONE;
             if (!within(v, FACE_ONE)) return orl_fail(ORL_E_RANGE, "%s: direction %d that walls face", path, k);
@@ -402,7 +403,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
             memcpy(grnd.albedo, s->ground_albedo, sizeof grnd.albedo);
         }
         const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, s->facings.n ? face : NULL };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, (uint64_t)(s->facings.n < ORL_FACINGS ? s->facings.n : ORL_FACINGS) * sizeof *face };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, (uint64_t)s->facings.n * sizeof *face };
         for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
     }
     uint32_t count = 0;

@@ -3,22 +3,8 @@
 set -u
 B=${1:-build/host}
 O=$B/oriel
-W=$(mktemp -d)
-trap 'rm -rf "$W"' EXIT
-bad=0
-fail() { echo "oriel.sh: $*"; bad=1; }
+. tests/cli/common.bash
 has() { "$O" --version | grep '^images:' | grep -q "$1"; }
-
-# expect CODE PATTERN COMMAND...: exit code, and one line on standard error that matches
-expect() {
-    local code=$1 pattern=$2
-    shift 2
-    "$@" >"$W/out" 2>"$W/err"
-    local got=$?
-    [ $got = "$code" ] || fail "exit $got, not $code: $* ($(head -c 300 "$W/err"))"
-    [ "$(wc -l <"$W/err")" = 1 ] || fail "$(wc -l <"$W/err") lines, not 1, on standard error: $*: $(head -c 300 "$W/err")"
-    grep -q -- "$pattern" "$W/err" || fail "no '$pattern' from $*: $(head -c 300 "$W/err")"
-}
 
 has png || { echo "oriel.sh: skipped, built without PNG"; exit 77; }
 "$B/tools/synth" "$W" 6 3 || exit 1

@@ -6,25 +6,12 @@ B=${1:-build/host}
 T=$B/oriel-train
 seed=${SEED:-$RANDOM}
 RANDOM=$seed
-W=$(mktemp -d)
+. tests/cli/common.bash
 trap 'umount "$W/disk" 2>/dev/null; rm -rf "$W"' EXIT
-bad=0
 fail() { echo "train.sh: $* (SEED=$seed)"; bad=1; }
 
-# quiet FILE: standard error without fit's progress
+# standard error without fit's progress
 quiet() { grep -vE '^\[[#.]{20}\] |^[^:]*: [0-9]+ photos, [0-9]+ points, box |^(stereo|surface): |: [0-9.]+ MB, [0-9]+ bricks, ' "$1"; }
-
-# expect CODE PATTERN COMMAND...: exit code, and one line on standard error (progress aside) that matches
-expect() {
-    local code=$1 pattern=$2 got lines
-    shift 2
-    "$@" >"$W/out" 2>"$W/err"
-    got=$?
-    lines=$(quiet "$W/err" | wc -l)
-    [ $got = "$code" ] || fail "exit $got, not $code: $* ($(head -c 300 "$W/err"))"
-    [ "$lines" = 1 ] || fail "$lines lines, not 1, on standard error: $*: $(head -c 300 "$W/err")"
-    quiet "$W/err" | grep -q -- "$pattern" || fail "no '$pattern' from $*: $(head -c 300 "$W/err")"
-}
 
 # json FILE KEY...: valid JSON with these keys; a.b is b within a
 json() {

@@ -1,5 +1,4 @@
 /* Fuzz target: the reader of Radiance pictures. With -DFUZZ_MAIN a plain program that replays files: whole, cut at lengths all over the file, and with single bytes changed. */
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include "formats/codec.h"
@@ -19,6 +18,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t n)
 }
 
 #ifdef FUZZ_MAIN
+#include "tests/fuzz/replay.h"
+
 /* A copy of exactly n bytes, so that a sanitizer sees a read beyond them. */
 static void once(const uint8_t *bytes, size_t n, size_t at, int change)
 {
@@ -30,24 +31,14 @@ static void once(const uint8_t *bytes, size_t n, size_t at, int change)
     free(b);
 }
 
-int main(int argc, char **argv)
+static void replay(const uint8_t *bytes, size_t n)
 {
-    static uint8_t bytes[1 << 20];
-    for (int i = 1; i < argc; i++) {
-        FILE *f = fopen(argv[i], "rb");
-        if (!f) {
-            perror(argv[i]);
-            return 1;
-        }
-        size_t n = fread(bytes, 1, sizeof bytes, f), step = n / 1000 + 1;
-        fclose(f);
-        once(bytes, n, n, 0);
-        for (size_t k = 0; k < n; k += k < 200 ? 1 : step) {
-            once(bytes, k, k, 0);
-            for (int bit = 0; bit < 8; bit++) once(bytes, n, k, 1 << bit);
-            once(bytes, n, k, 255);
-        }
+    size_t step = n / 1000 + 1;
+    once(bytes, n, n, 0);
+    for (size_t k = 0; k < n; k += k < 200 ? 1 : step) {
+        once(bytes, k, k, 0);
+        for (int bit = 0; bit < 8; bit++) once(bytes, n, k, 1 << bit);
+        once(bytes, n, k, 255);
     }
-    return 0;
 }
 #endif
