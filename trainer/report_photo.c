@@ -175,6 +175,7 @@ orl_err report_add_photo(page *p, const orl_photo *photo, const eval_setup *setu
     if (!e) {
         row->name = photo->name;
         orl_light_decode(&p->s->light, pred.adapt[EVAL_FIXED].code, light);
+        orl_view_trace_sun(&v, light, 0, v.h, p->o->threads);
         e = add_article(p, photo, &im, &pred.rgb[EVAL_FIXED], &v, light, row, half);
         *shown = !e;
     }

@@ -23,7 +23,7 @@ typedef struct {
     orl_facings square;             /* what walls face; none without stereo */
     const stereo_work *watch;       /* for stereo_slope, not owned; NULL: patches do not pull at the surface */
     stage1_options opt;
-    int step, heuristics;           /* fading near cameras, the photos' share in the shape, the patches' pull, weight-scaled smoothness and what is left out as too faint are not gradients of the total: gradient tests turn them off */
+    int step, heuristics;           /* fading near cameras, the photos' share in the shape, the patches' pull, weight-scaled smoothness, the pull towards what walls face and what is left out as too faint are not gradients of the total: gradient tests turn them off */
     grid sdf[SDF_LEVELS];           /* cells of 1, 2, 4, 16 fine cells; values in fine cells, positive in free space */
     grid hull, fused;               /* the first SDF, kept (cells of 2), and what the fused points add to it (cells of 1): the surface stays near their sum unless photos insist */
     grid feat[FEAT_LEVELS];         /* cells of 2 and 8; 16 floats: base RGB, then RGB for each of 4 appearance code entries */
