@@ -17,16 +17,17 @@
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
 typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.7] */
-typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.9] */
-typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.10] */
-typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.11] */
-_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
+typedef struct { orl_backdrop room; uint8_t rgba[ORL_BACK_ROWS][ORL_BACK_COLS][4]; } back_bytes;                                                                              /* [4.8] */
+typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.10] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.11] */
+typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.12] */
+_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(back_bytes) == 196620 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
 typedef struct { orl_scene_section list[MAX_SECTIONS]; int count; span known[TAGS]; } layout;
@@ -120,7 +121,7 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
     }
     /* bricks is at most 2^24: no product below leaves 64 bits */
     const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [ALBD] = bricks * ORL_BRICK_VERTS * 3,
-        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
+        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [BACK] = sizeof(back_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
         if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
@@ -149,6 +150,12 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         if (g) {
             memcpy(s->ground, g->plane, sizeof s->ground);
             s->ground_albedo = g->albedo[0][0];
+        }
+        const back_bytes *back = (const back_bytes *)l->known[BACK].at;
+        if (back && !g) return orl_fail(ORL_E_FORMAT, "%s: section BACK without GRND", name);
+        if (back) {
+            s->backdrop = back->room;
+            s->backdrop_rgba = back->rgba[0][0];
         }
     }
     s->codes = (const float *)code.at;
@@ -185,6 +192,10 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
     }
     for (int k = 0; s->ground_albedo && k < 3; k++)
         if (!within(s->ground[k], k ? 1 : 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section GRND: plane[%d] = %g", name, k, (double)s->ground[k]);
+    const orl_backdrop *room = &s->backdrop;
+    for (int a = 0; s->backdrop_rgba && a < 2; a++)
+        if (!(room->half[a] >= 4 * (float)s->nb[a] && room->half[a] <= 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section BACK: half[%d] = %g", name, a, (double)room->half[a]);
+    if (s->backdrop_rgba && !(room->height > 0.01f && room->height <= 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section BACK: height %g", name, (double)room->height);
     uint64_t places = (uint64_t)s->nb[0] * s->nb[1] * s->nb[2];
     for (uint64_t i = 0; i < places; i++)
         if (s->bmap[i] >= (int64_t)s->nbricks || s->bmap[i] < -127) return orl_fail(ORL_E_RANGE, "%s: section BMAP: entry %llu = %d", name, (unsigned long long)i, s->bmap[i]);
@@ -328,7 +339,7 @@ orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, in
 
 /* ---- write */
 
-/* Smallest exponent at which v fits int16 [4.10.1]. */
+/* Smallest exponent at which v fits int16 [4.11.1]. */
 static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, const char *field, const char *path)
 {
     float top = 0;
@@ -368,6 +379,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     static const head_bytes head_zero;
     head_bytes head = head_zero;
     grnd_bytes grnd;
+    back_bytes *back = NULL;
     skyd_bytes skyd = { 0 };
     skyg_bytes skyg = { 0 };
     prio_bytes prio;
@@ -402,8 +414,13 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
             memcpy(grnd.plane, s->ground, sizeof grnd.plane);
             memcpy(grnd.albedo, s->ground_albedo, sizeof grnd.albedo);
         }
-        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, s->facings.n ? face : NULL };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, (uint64_t)s->facings.n * sizeof *face };
+        if (s->backdrop_rgba) {
+            if (!(back = malloc(sizeof *back))) return orl_fail(ORL_E_MEMORY, "%s: no memory for the backdrop", path);
+            back->room = s->backdrop;
+            memcpy(back->rgba, s->backdrop_rgba, sizeof back->rgba);
+        }
+        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, back, s->facings.n ? face : NULL };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, sizeof *back, (uint64_t)s->facings.n * sizeof *face };
         for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
     }
     uint32_t count = 0;
@@ -411,7 +428,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     uint64_t total = align64(HEADER + (uint64_t)count * ENTRY);
     for (int t = 0; t < TAGS; t++) if (data[t]) total = align64(total + bytes[t]);
     uint8_t *file = total <= SIZE_MAX ? aligned_alloc(64, (size_t)total) : NULL;
-    if (!file) return orl_fail(ORL_E_MEMORY, "%s: no memory for %llu bytes", path, (unsigned long long)total);
+    if (!file) { free(back); return orl_fail(ORL_E_MEMORY, "%s: no memory for %llu bytes", path, (unsigned long long)total); }
     memset(file, 0, HEADER + (size_t)count * ENTRY);
     memcpy(file, magic, 8);
     uint32_t version = VERSION;
@@ -440,6 +457,7 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     e = orl_scene_parse(file, (size_t)total, path, &check);         /* never leave a file behind that cannot be read */
     if (!e) e = orl_file_write(path, file, (size_t)total);
     free(file);
+    free(back);
     if (!e && bytes_out) *bytes_out = (size_t)total;
     return e;
 }

@@ -116,10 +116,34 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
     h->t = (int64_t)(t * 65536 + 0.5);
 }
 
+/* The backdrop as in SCENE.md 4.8: met nearer than `before` where its opacity (0..255) is at least opaque / 8 of 255. */
+static int backdrop_meet(const orl_scene *s, const double o[3], const double d[3], int opaque, double before, orl_hit *h)
+{
+    const double middle[2] = { 4.0 * s->nb[0], 4.0 * s->nb[1] };
+    double t, uv[2];
+    uint32_t first, share[4], rgba[4] = { 0 };
+    if (!s->backdrop_rgba || !orl_backdrop_meet(&s->backdrop, middle, s->ground, o, d, &t, uv) || t > before) return 0;
+    orl_backdrop_texels(uv, &first, share);
+    for (int k = 0; k < 4; k++) {
+        const uint8_t *c = s->backdrop_rgba + 4 * (first + (k & 1 ? 1u : 0) + (k & 2 ? ORL_BACK_COLS : 0u));
+        for (int q = 0; q < 4; q++) rgba[q] += share[k] * (q < 3 ? (uint32_t)c[q] * c[q] : c[q]);
+    }
+    if ((int)(8 * ((rgba[3] + 128) >> 8)) < 255 * opaque) return 0;
+    memset(h, 0, sizeof *h);
+    float n[3];
+    orl_backdrop_normal(uv[0], n);
+    for (int a = 0; a < 3; a++) h->grad[a] = (n[a] > 0) - (n[a] < 0);
+    for (int k = 0; k < 3; k++) h->albedo[k] = (uint32_t)(((uint64_t)rgba[k] * 65535 + 65025 * 128u) / (65025u * 256));
+    h->lite[0] = 255 << 16;
+    h->t = (int64_t)(t * 65536 + 0.5);
+    return 1;
+}
+
 static int beside_box(const orl_scene *s, const double x[3]) { return x[0] < 0 || x[1] < 0 || x[0] > 8.0 * s->nb[0] || x[1] > 8.0 * s->nb[1]; }
 
-/* The surface, or the ground where the ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface. */
-static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hit *h)
+/* The surface, or the ground where the ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface.
+ * Where no surface is met, the backdrop stands before the ground behind it. */
+static int meet(const orl_scene *s, const double o[3], const double d[3], int opaque, orl_hit *h)
 {
     double t = 0, from[3] = { o[0], o[1], o[2] };
     int64_t gone = 0;
@@ -130,18 +154,18 @@ static int meet(const orl_scene *s, const double o[3], const double d[3], orl_hi
         for (int a = 0; a < 3; a++) from[a] = o[a] + (double)gone / 65536 * d[a];
         met = !h->cut || over_ground(s, from) <= ORL_GROUND_CUT * 8 * s->nb[0];
     }
-    if (!met && !falls) return 0;
+    if (!met && !falls) return backdrop_meet(s, o, d, opaque, 1e12, h);
     if (met) {
         double hit = (double)h->t / 65536, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
         int before = falls && t < hit;
         if (!(before && beside_box(s, down)) && !h->cut) return 1;
         if (!before) t = hit;
     }
-    ground_hit(s, o, d, t, h);
+    if (!backdrop_meet(s, o, d, opaque, t, h)) ground_hit(s, o, d, t, h);
     return 1;
 }
 
-/* Mean of the rays that hit; coverage is their share. */
+/* Mean of the rays that hit; coverage is their share. The rays of a pixel ask for more and more opaque a backdrop. */
 static void build_pixel(const build_job *j, int x, int y)
 {
     orl_view *v = j->v;
@@ -153,7 +177,7 @@ static void build_pixel(const build_job *j, int x, int y)
     int32_t phi[ORL_SHADOW_DIM] = { 0 };
     for (int k = 0; k < rays; k++) {
         double d[3];
-        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, &h)) continue;
+        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, rays > 1 ? 2 * k + 1 : 4, &h)) continue;
         double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
         if (len > 0) {
             float facing[3] = { (float)(g[0] / len), (float)(g[1] / len), (float)(g[2] / len) };

@@ -15,6 +15,8 @@ static size_t file_n;
 
 static const orl_facings FACINGS = { 3, { { 0, 0, 1 }, { 0.6f, -0.8f, 0 }, { -0.48f, 0.6f, -0.64f } } };
 
+static uint8_t BACKDROP[ORL_BACK_TEXELS * 4], GROUND[ORL_GROUND_SIDE * ORL_GROUND_SIDE * 3];
+
 static uint8_t *load(const char *p, size_t *n)
 {
     uint8_t *raw, *b;
@@ -117,6 +119,11 @@ static void test_round_trip(void **state)
     orl_scene w, r;
     synth_scene_make(&w, 4, 3, 5);
     w.facings = FACINGS;
+    for (size_t i = 0; i < sizeof BACKDROP; i++) BACKDROP[i] = (uint8_t)(i * 7);
+    for (size_t i = 0; i < sizeof GROUND; i++) GROUND[i] = (uint8_t)(i * 5);
+    w.ground_albedo = GROUND;
+    w.backdrop = (orl_backdrop){ { 40, 12.5f }, 9 };
+    w.backdrop_rgba = BACKDROP;
     assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_OK);
     assert_int_equal(orl_scene_open(path2, &r), ORL_OK);
     assert_memory_equal(r.nb, w.nb, sizeof r.nb);
@@ -130,6 +137,9 @@ static void test_round_trip(void **state)
     assert_memory_equal(r.world_to_grid, w.world_to_grid, sizeof r.world_to_grid);
     assert_int_equal(r.facings.n, 3);
     for (int k = 0; k < 3; k++) for (int a = 0; a < 3; a++) assert_true(fabsf(r.facings.dir[k][a] - FACINGS.dir[k][a]) < 2e-5f);
+    assert_true(r.backdrop.half[0] == 40 && r.backdrop.half[1] == 12.5f && r.backdrop.height == 9);
+    assert_memory_equal(r.backdrop_rgba, w.backdrop_rgba, sizeof BACKDROP);
+    assert_memory_equal(r.ground_albedo, w.ground_albedo, sizeof GROUND);
     assert_string_equal(r.title, "synthetic");
     assert_true(((uintptr_t)r.sdf & 63) == 0 && ((uintptr_t)r.codes & 63) == 0);
     float top = 0;
@@ -145,6 +155,27 @@ static void test_round_trip(void **state)
     assert_int_equal(a, b);
     assert_memory_equal(fa, fb, a);
     free(fa); free(fb);
+    w.ground_albedo = w.backdrop_rgba = NULL;
+    synth_scene_free(&w);
+}
+
+/* The room stands around the box, on a ground. */
+static void test_backdrop(void **state)
+{
+    (void)state;
+    const orl_backdrop bad[] = { { { 15.9f, 12 }, 9 }, { { 16, 11 }, 9 }, { { NAN, 12 }, 9 }, { { 16, INFINITY }, 9 }, { { 16, 12 }, 0 }, { { 16, 12 }, -1 }, { { 16, 12 }, NAN }, { { 16, 12 }, 2e6f } };
+    orl_scene w;
+    synth_scene_make(&w, 4, 3, 5);
+    w.backdrop = (orl_backdrop){ { 16, 12 }, 9 };
+    w.backdrop_rgba = BACKDROP;
+    assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_FORMAT);      /* no ground */
+    w.ground_albedo = GROUND;
+    assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_OK);
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        w.backdrop = bad[i];
+        assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_RANGE);
+    }
+    w.ground_albedo = w.backdrop_rgba = NULL;
     synth_scene_free(&w);
 }
 
@@ -318,7 +349,7 @@ static void test_field_ranges(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip), cmocka_unit_test(test_optional), cmocka_unit_test(test_truncation), cmocka_unit_test(test_extra_bytes),
+        cmocka_unit_test(test_round_trip), cmocka_unit_test(test_backdrop), cmocka_unit_test(test_optional), cmocka_unit_test(test_truncation), cmocka_unit_test(test_extra_bytes),
         cmocka_unit_test(test_bad_header), cmocka_unit_test(test_flipped_bytes), cmocka_unit_test(test_field_ranges),
     };
     return cmocka_run_group_tests(tests, setup, teardown);

@@ -116,10 +116,10 @@ static void cuts_are_passed_through(void **state)
         float o[3] = { 20, 3, 28 + 0.01f * (float)i }, d[3] = { 0.707f, 0.7071f, 0.005f }, t = (WALL - o[0]) / d[0];
         o[1] = 25 + 0.05f * (float)i - t * d[1];
         assert_true(surface_march(&s, o, d, &hit) && hit.cut);
-        assert_int_equal(surface_meet(&s, o, d, &hit), MET_NOTHING);
+        assert_int_equal(surface_meet(&s, o, d, 128, &hit), MET_NOTHING);
         d[2] = -0.1f;
         o[2] -= t * d[2];
-        assert_int_equal(surface_meet(&s, o, d, &hit), MET_GROUND);
+        assert_int_equal(surface_meet(&s, o, d, 128, &hit), MET_GROUND);
     }
     surface_free(&s);
 }

@@ -39,6 +39,16 @@ static void ground_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[
     }
 }
 
+static void backdrop_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[4])
+{
+    for (int t = 0; t < ORL_BACK_TEXELS; t++) {
+        float rgb[3];
+        stage2_backdrop_texel(s2, t, rgb);
+        for (int c = 0; c < 3; c++) out[t][c] = quant8(sqrtf(rgb[c]));
+        out[t][3] = surf->opacity[t];
+    }
+}
+
 orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, const char *title, size_t *bytes)
 {
     orl_scene sc = { 0 };
@@ -54,10 +64,11 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     snprintf(sc.title, sizeof sc.title, "%s", title);
     size_t n = surf->nbricks;
     uint8_t (*ground)[3] = malloc((size_t)ORL_GROUND_SIDE * ORL_GROUND_SIDE * sizeof *ground);
+    uint8_t (*back)[4] = malloc((size_t)ORL_BACK_TEXELS * sizeof *back);
     int8_t *sdf = malloc(n * ORL_BRICK_VERTS + 1), *shadow = malloc(n * ORL_LITE_VERTS * ORL_SHADOW_DIM + 1);
     uint8_t *albedo = malloc(n * ORL_BRICK_VERTS * 3 + 1), *lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
     orl_err e = ORL_OK;
-    if (!ground || !sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
+    if (!ground || !back || !sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
     shadow_scales(surf, s2, sc.shadow_scale);
     for (size_t i = 0; i < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; i++) {
         if (surf->bmap[i] < 0) continue;
@@ -84,6 +95,11 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
         }
     }
     ground_texels(surf, s2, ground);
+    if (surf->back.height > 0) {
+        backdrop_texels(surf, s2, back);
+        sc.backdrop = surf->back;
+        sc.backdrop_rgba = back[0];
+    }
     memcpy(sc.ground, f->ground, sizeof sc.ground);
     sc.facings = surf->facings;
     sc.ground_albedo = ground[0];
@@ -99,6 +115,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     e = orl_scene_write(path, &sc, bytes);
 done:
     free(ground);
+    free(back);
     free(sdf);
     free(shadow);
     free(albedo);

@@ -15,6 +15,7 @@
 #include "trainer/commands.h"
 #include "trainer/nerfw.h"
 #include "trainer/ranks.h"
+#include "trainer/backdrop.h"
 #include "trainer/refine.h"
 
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
@@ -196,6 +197,7 @@ static orl_err resume(run *r, FILE *ck)
     if (!e) e = stage1_load(&r->s1, ck, 0, path);
     if (!e) e = refine_load(&r->w, ck, path);
     if (!e && r->o->stage2) e = surface_light(&r->surf, r->head.threads);
+    if (!e && r->o->stage2) e = backdrop_find(&r->surf, &r->w, &r->s1, r->head.threads);
     if (!e) e = begin_stage2(r);
     if (!e && !r->o->stage2 && !fseek(ck, at, SEEK_SET)) e = stage2_load(&r->s2, ck, phase == 2, path);
     if (!e && (r->s2.round < 0 || r->s2.round > r->head.rounds)) e = orl_fail(ORL_E_RANGE, "%s: stage 2 round %d of %d", path, r->s2.round, r->head.rounds);
@@ -267,7 +269,7 @@ static orl_err run_stage1(run *r)
     stereo_end(r->maps);
     r->maps = NULL;
     stereo_free(&r->st);
-    if ((e = surface_build(s, &r->surf)) || (e = surface_carve(&r->surf, &r->w, r->head.threads)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
+    if ((e = surface_build(s, &r->surf)) || (e = surface_carve(&r->surf, &r->w, r->head.threads)) || (e = surface_prune(&r->surf, &r->w, r->head.threads)) || (e = backdrop_find(&r->surf, &r->w, s, r->head.threads)) || (e = surface_light(&r->surf, r->head.threads))) return e;
     tell("surface: %u bricks, %.1f s\n", r->surf.nbricks, now() - r->start);
     if ((e = begin_stage2(r))) return e;
     r->head.phase = 2;

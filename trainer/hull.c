@@ -353,7 +353,7 @@ static void relabel_range(void *user, int begin, int end)
                 if (hull_hit(j, o, d)) continue;
                 for (int b = 0; b < side * side; b++) {
                     int xx = x + b % side, yy = y + b / side;
-                    if (xx < p->w && yy < p->h && world_label(p, xx, yy) == WORLD_SCENE) world_set_label(p, xx, yy, WORLD_UNKNOWN);
+                    if (xx < p->w && yy < p->h && world_label(p, xx, yy) == WORLD_SCENE) world_set_label(p, xx, yy, WORLD_BEYOND);
                 }
             }
     }

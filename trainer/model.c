@@ -55,9 +55,10 @@ static float pixel_sample(const gbuffer_job *j, int x, int y, orl_sample *s)
         surface_hit h;
         world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
         orl_sample q;
-        int met = surface_meet(&m->surf, o, d, &h);
+        int met = surface_meet(&m->surf, o, d, (float)(2 * k + 1) * (255.0f / 8), &h);
         if (met == MET_SURFACE) stage2_surface_sample(&m->s2, h.x, h.n, &q);
         else if (met == MET_GROUND) stage2_ground_sample(&m->s2, h.x, &q);
+        else if (met == MET_BACKDROP) stage2_backdrop_sample(&m->s2, h.x, h.n, &q);
         else continue;
         for (int a = 0; a < 3; a++) { s->albedo[a] += q.albedo[a]; s->normal[a] += q.normal[a]; }
         for (int a = 0; a < ORL_HORIZON; a++) s->horizon[a] += q.horizon[a];

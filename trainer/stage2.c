@@ -9,13 +9,16 @@
 #include "trainer/order.h"
 #include "trainer/ranks.h"
 
-static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 };
+static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 }, BACKDROP_CELL[BACKDROP_LEVELS] = { 1, 4, 16 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
-static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 0.6f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f };
+static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 0.6f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f }, BACKDROP_PLAIN[BACKDROP_LEVELS] = { 0.2f, 0.05f, 0 };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, TRACE_EVERY = 4, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
+#define LEAST_OPAQUE 32.0f      /* of the backdrop, 0..255: what is learned of it */
 #define PULL 4.0f               /* over the square of the photos that see it */
+
+static const float BACKDROP_START[3] = { 0.3f, 0.3f, 0.3f };     /* where no photo shows it */
 
 const char *const WITHOUT_NAME[WITHOUTS] = { "tone", "shadow", "visibility", "ground", "distill", "sky-prior" };
 
@@ -30,9 +33,9 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         int x = (int)rng_below(&r, (uint32_t)p->w), y = (int)rng_below(&r, (uint32_t)p->h), label = world_label(p, x, y);
         world_ray(p, x + 0.5, y + 0.5, d);
         surface_hit h;
-        int met = surface_meet(s->surf, o, d, &h);
-        int sky = label == WORLD_SKY || (met != MET_SURFACE && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
-        if (sky ? met == MET_SURFACE || sky_left == 0 : met == MET_NOTHING) continue;
+        int met = surface_meet(s->surf, o, d, LEAST_OPAQUE, &h);
+        int sky = label == WORLD_SKY || (met != MET_SURFACE && met != MET_BACKDROP && label == WORLD_UNKNOWN && d[2] > 0.08f);   /* unknown, nothing there, above the horizon: most likely sky */
+        if (sky ? met == MET_SURFACE || sky_left == 0 : met == MET_NOTHING || (met == MET_BACKDROP && label == WORLD_UNKNOWN)) continue;
         stage2_pixel *q = &out[n];
         memset(q, 0, sizeof *q);
         float at = s->opt.without & WITHOUT_DISTILL ? 0 : stage1_transient(s1, k, x + 0.5f, y + 0.5f);
@@ -49,7 +52,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         memcpy(q->x, h.x, sizeof h.x);
         memcpy(q->n, h.n, sizeof h.n);
         q->weight = 255;
-        if (met == MET_GROUND) {                /* stage 1 knows no colour there */
+        if (met != MET_SURFACE) {               /* stage 1 knows no colour there */
             if (at > 0.5f) continue;
             q->open = 255;
             n++;
@@ -82,7 +85,7 @@ static void ground_plan(const stage2 *s, const float x[3], float y[3])
 }
 
 /* Base colour out of nested grids, and where it came from. excess: before the clamp minus after. */
-enum { MOST_LEVELS = ALBEDO_LEVELS > GROUND_LEVELS ? ALBEDO_LEVELS : GROUND_LEVELS };
+enum { MOST_LEVELS = 3 };
 typedef struct { grid_cell at[MOST_LEVELS]; v4 level[MOST_LEVELS]; float excess[3]; } colour_cells;
 typedef struct { colour_cells a; grid_cell s; } cells;
 
@@ -106,6 +109,23 @@ static void ground_colour(const stage2 *s, const float x[3], float rgb[3], colou
     float plan[3];
     ground_plan(s, x, plan);
     colour(s->ground, GROUND_LEVELS, plan, s->common, rgb, c);
+}
+
+/* Place on the backdrop, for its grids. */
+static void backdrop_plan(const stage2 *s, const float x[3], float y[3])
+{
+    double uv[2];
+    surface_backdrop_place(s->surf, x, uv);
+    y[0] = (float)uv[0];
+    y[1] = (float)uv[1];
+    y[2] = 0;
+}
+
+static void backdrop_colour(const stage2 *s, const float x[3], float rgb[3], colour_cells *c)
+{
+    float plan[3];
+    backdrop_plan(s, x, plan);
+    colour(s->backdrop, BACKDROP_LEVELS, plan, BACKDROP_START, rgb, c);
 }
 
 /* d: dL / d rgb. plain: how strongly a level's detail that few pixels ask for stays away. */
@@ -247,6 +267,7 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
         int c = GROUND_CELL[l], plan[3] = { (3 * surf->f.dims[0] + c - 1) / c * c, (3 * surf->f.dims[1] + c - 1) / c * c, c };
         e = grid_init(&s->ground[l], plan, c, 4, opt->threads);
     }
+    for (int l = 0; !e && l < BACKDROP_LEVELS; l++) e = grid_init(&s->backdrop[l], (const int[3]){ ORL_BACK_COLS, ORL_BACK_ROWS, BACKDROP_CELL[l] }, BACKDROP_CELL[l], 4, opt->threads);
     if (!e) e = grid_init(&s->shadow, surf->f.dims, 4, ORL_SHADOW_DIM, opt->threads);
     if (e || !s1) { if (e) stage2_free(s); return e; }
     sky_generator_start(&s->light);
@@ -305,6 +326,7 @@ void stage2_free(stage2 *s)
 {
     for (int l = 0; l < ALBEDO_LEVELS; l++) grid_free(&s->albedo[l]);
     for (int l = 0; l < GROUND_LEVELS; l++) grid_free(&s->ground[l]);
+    for (int l = 0; l < BACKDROP_LEVELS; l++) grid_free(&s->backdrop[l]);
     grid_free(&s->shadow);
     free(s->order);
     free(s->codes);
@@ -352,6 +374,21 @@ void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out)
     out->normal[2] = out->open = out->cov = 1;
 }
 
+void stage2_backdrop_texel(const stage2 *s, int texel, float rgb[3])
+{
+    colour_cells c;
+    colour(s->backdrop, BACKDROP_LEVELS, (float[3]){ (float)(texel % ORL_BACK_COLS) + 0.5f, (float)(texel / ORL_BACK_COLS) + 0.5f, 0 }, BACKDROP_START, rgb, &c);
+}
+
+void stage2_backdrop_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out)
+{
+    colour_cells c;
+    memset(out, 0, sizeof *out);
+    backdrop_colour(s, x, out->albedo, &c);
+    memcpy(out->normal, n, sizeof out->normal);
+    out->open = out->cov = 1;
+}
+
 static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, cells *c)
 {
     memset(o, 0, sizeof *o);
@@ -362,6 +399,7 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
         return;
     }
     if (q->surface == MET_GROUND) ground_colour(s, q->x, o->albedo, &c->a);
+    else if (q->surface == MET_BACKDROP) backdrop_colour(s, q->x, o->albedo, &c->a);
     else look_up(s, q->x, o, c);
     memcpy(o->normal, q->n, sizeof o->normal);
     o->open = q->open * (1.0f / 255.0f);
@@ -495,6 +533,10 @@ static void grad_photos(void *user, int begin, int end)
                     colour_back(s->ground, GROUND_LEVELS, t, &c.a, d_albedo, GROUND_PLAIN);
                     continue;
                 }
+                if (q->surface == MET_BACKDROP) {
+                    colour_back(s->backdrop, BACKDROP_LEVELS, t, &c.a, d_albedo, BACKDROP_PLAIN);
+                    continue;
+                }
                 int floor = is_ground(s, q);
                 for (int a = 0; a < 3; a++) d_albedo[a] += 1e-3f * (o.albedo[a] - 0.4f);       /* stone is seldom white */
                 colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, floor ? FLOOR_PLAIN : ALBEDO_PLAIN);
@@ -539,11 +581,12 @@ void stage2_round(stage2 *s, stage2_losses *out)
         out->adapt_rms += found[i].rms / visits(s);
         out->degenerate += found[i].degenerate;
     }
-    enum { GRIDS = ALBEDO_LEVELS + GROUND_LEVELS + 1 };
+    enum { GRIDS = ALBEDO_LEVELS + GROUND_LEVELS + BACKDROP_LEVELS + 1 };
     grid *all[GRIDS] = { &s->shadow };
     float lr[GRIDS] = { 0.02f };
     for (int l = 0; l < ALBEDO_LEVELS; l++) { all[1 + l] = &s->albedo[l]; lr[1 + l] = ALBEDO_LR[l]; }
     for (int l = 0; l < GROUND_LEVELS; l++) { all[1 + ALBEDO_LEVELS + l] = &s->ground[l]; lr[1 + ALBEDO_LEVELS + l] = GROUND_LR[l]; }
+    for (int l = 0; l < BACKDROP_LEVELS; l++) { all[1 + ALBEDO_LEVELS + GROUND_LEVELS + l] = &s->backdrop[l]; lr[1 + ALBEDO_LEVELS + GROUND_LEVELS + l] = GROUND_LR[l]; }
     float decay = expf(logf(0.1f) * (float)s->round / (float)(R > 0 ? R : 1));
     for (int step = 0; step < s->opt.steps; step++) {
         memset(sums, 0, (size_t)N * sizeof *sums);
@@ -675,6 +718,7 @@ orl_err stage2_save(const stage2 *s, FILE *f, int moments)
     orl_err e = bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_save(&s->albedo[l], f, moments);
     for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_save(&s->ground[l], f, moments);
+    for (int l = 0; !e && l < BACKDROP_LEVELS; l++) e = grid_save(&s->backdrop[l], f, moments);
     return e ? e : grid_save(&s->shadow, f, moments);
 }
 
@@ -691,5 +735,6 @@ orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path)
     orl_err e = ORL_OK;
     for (int l = 0; !e && l < ALBEDO_LEVELS; l++) e = grid_load(&s->albedo[l], f, moments, path);
     for (int l = 0; !e && l < GROUND_LEVELS; l++) e = grid_load(&s->ground[l], f, moments, path);
+    for (int l = 0; !e && l < BACKDROP_LEVELS; l++) e = grid_load(&s->backdrop[l], f, moments, path);
     return e ? e : grid_load(&s->shadow, f, moments, path);
 }

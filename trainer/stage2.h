@@ -4,7 +4,7 @@
 #include "oriel/adapt.h"
 #include "trainer/surface.h"
 
-enum { ALBEDO_LEVELS = 3, GROUND_LEVELS = 3, STAGE2_VISITS = 64 };
+enum { ALBEDO_LEVELS = 3, GROUND_LEVELS = 3, BACKDROP_LEVELS = 3, STAGE2_VISITS = 64 };
 
 /* A pixel of a training photo, reduced to what light needs. */
 typedef struct {
@@ -36,6 +36,7 @@ typedef struct {
     float (*codes)[ORL_CODE];       /* per training photo */
     float common[3];                /* median base colour of ground that many photos see */
     grid ground[GROUND_LEVELS];     /* over the plan of the box and as much again on each side, cells of 8, 32, 128: what the ground beyond the surface has besides the common colour */
+    grid backdrop[BACKDROP_LEVELS]; /* over its texels, cells of 1, 4, 16 */
     int *order;                     /* in which rounds visit the photos */
     uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;
@@ -53,10 +54,14 @@ void stage2_prior(stage2 *s);
 void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out);
 /* The same for the ground beyond the surface: open, no horizon, no shadow features. */
 void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out);
+/* And for the backdrop. */
+void stage2_backdrop_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out);
 /* Whether the sun of a light is traced on the surface: it stands over the horizon, and visibility is not left out. */
 int stage2_traces(const stage2 *s, const orl_light *l);
 /* fix of a sample (whose own is 0) at x with normal n, by a ray to the sun; 0 where none is traced. */
 float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const float n[3], const orl_sample *o);
+/* Base colour of a texel of the backdrop. */
+void stage2_backdrop_texel(const stage2 *s, int texel, float rgb[3]);
 void stage2_albedo(const stage2 *s, const float x[3], float rgb[3]);
 orl_err stage2_save(const stage2 *s, FILE *f, int moments);
 orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path);

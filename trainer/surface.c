@@ -78,6 +78,7 @@ void surface_free(surface *s)
 {
     free(s->bmap);
     free(s->sdf);
+    free(s->opacity);
     grid_free(&s->lite);
     memset(s, 0, sizeof *s);
 }
@@ -209,7 +210,33 @@ int surface_sunlit(const surface *s, const float x[3], const float n[3], const f
     return n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0 && !surface_march(s, o, d, &h);
 }
 
-int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit)
+static void middle_of(const surface *s, double middle[2]) { for (int a = 0; a < 2; a++) middle[a] = 0.5 * s->f.dims[a]; }
+
+void surface_backdrop_place(const surface *s, const float x[3], double uv[2])
+{
+    double middle[2], at[3] = { x[0], x[1], x[2] };
+    middle_of(s, middle);
+    uv[0] = uv[1] = 0;
+    orl_backdrop_place(&s->back, middle, s->f.ground, at, uv);
+}
+
+/* The backdrop nearer than t, where it is opaque enough. */
+static int meet_backdrop(const surface *s, const float o[3], const float d[3], float opaque, float t, surface_hit *hit)
+{
+    double middle[2], from[3] = { o[0], o[1], o[2] }, along[3] = { d[0], d[1], d[2] }, far, uv[2];
+    uint32_t first, share[4], a = 128;
+    middle_of(s, middle);
+    if (!s->opacity || opaque >= SURFACE_NO_BACKDROP || !orl_backdrop_meet(&s->back, middle, s->f.ground, from, along, &far, uv) || far > (double)t) return 0;
+    orl_backdrop_texels(uv, &first, share);
+    for (int k = 0; k < 4; k++) a += share[k] * s->opacity[first + (k & 1 ? 1 : 0) + (k & 2 ? ORL_BACK_COLS : 0)];
+    if ((float)(a >> 8) < opaque) return 0;
+    hit->t = (float)far;
+    for (int k = 0; k < 3; k++) hit->x[k] = o[k] + hit->t * d[k];
+    orl_backdrop_normal(uv[0], hit->n);
+    return 1;
+}
+
+int surface_meet(const surface *s, const float o[3], const float d[3], float opaque, surface_hit *hit)
 {
     float t = 0, gone = 0, from[3] = { o[0], o[1], o[2] };
     int met = 0, falls = frame_ground_hit(&s->f, o, d, &t);
@@ -218,13 +245,14 @@ int surface_meet(const surface *s, const float o[3], const float d[3], surface_h
         memcpy(from, hit->x, sizeof from);
         met = !hit->cut || from[2] - frame_ground_height(&s->f, from) <= ORL_GROUND_CUT * (float)s->f.dims[0];
     }
-    if (!met && !falls) return MET_NOTHING;
+    if (!met && !falls) return meet_backdrop(s, o, d, opaque, 1e12f, hit) ? MET_BACKDROP : MET_NOTHING;
     if (met) {
         float x = o[0] + t * d[0], y = o[1] + t * d[1];
         int before = falls && t < hit->t, beside = x < 0 || y < 0 || x > (float)s->f.dims[0] || y > (float)s->f.dims[1];
         if (!(before && beside) && !hit->cut) return MET_SURFACE;
         if (!before) t = hit->t;
     }
+    if (meet_backdrop(s, o, d, opaque, t, hit)) return MET_BACKDROP;
     for (int a = 0; a < 3; a++) hit->x[a] = o[a] + t * d[a];
     hit->t = t;
     hit->n[0] = hit->n[1] = 0;
@@ -374,7 +402,17 @@ orl_err surface_save(const surface *s, FILE *f)
 {
     int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->facings, sizeof s->facings, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)
         || fwrite(s->sdf, ORL_BRICK_VERTS * sizeof *s->sdf, s->nbricks, f) != s->nbricks;
+    bad |= fwrite(&s->back, sizeof s->back, 1, f) != 1 || (s->back.height > 0 && fwrite(s->opacity, 1, ORL_BACK_TEXELS, f) != ORL_BACK_TEXELS);
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : grid_save(&s->lite, f, 0);
+}
+
+static orl_err load_backdrop(surface *s, FILE *f, const char *path)
+{
+    if (fread(&s->back, sizeof s->back, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: backdrop is cut short", path);
+    if (!(s->back.height > 0)) return ORL_OK;
+    s->opacity = malloc(ORL_BACK_TEXELS);
+    if (!s->opacity) return orl_fail(ORL_E_MEMORY, "%s: no memory", path);
+    return fread(s->opacity, 1, ORL_BACK_TEXELS, f) == ORL_BACK_TEXELS ? ORL_OK : orl_fail(ORL_E_FORMAT, "%s: backdrop is cut short", path);
 }
 
 orl_err surface_load(surface *out, FILE *f, const char *path)
@@ -393,6 +431,7 @@ orl_err surface_load(surface *out, FILE *f, const char *path)
     if (!e && (fread(s.bmap, sizeof *s.bmap, brick_count(&s), f) != brick_count(&s) || fread(s.sdf, ORL_BRICK_VERTS * sizeof *s.sdf, s.nbricks, f) != s.nbricks))
         e = orl_fail(ORL_E_FORMAT, "%s: surface is cut short", path);
     for (size_t i = 0; !e && i < brick_count(&s); i++) if (s.bmap[i] >= (int32_t)s.nbricks || s.bmap[i] < -127) e = orl_fail(ORL_E_RANGE, "%s: surface brick map entry %zu", path, i);
+    if (!e) e = load_backdrop(&s, f, path);
     if (!e) e = grid_load(&s.lite, f, 0, path);
     if (e) { surface_free(&s); return e; }
     *out = s;

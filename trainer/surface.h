@@ -1,6 +1,7 @@
 /* The surface after stage 1: one float SDF in bricks of 8^3 cells (the same bricks that the scene file stores), with what light needs to know of its shape. */
 #ifndef TRAINER_SURFACE_H
 #define TRAINER_SURFACE_H
+#include "oriel/backdrop.h"
 #include "oriel/scene.h"
 #include "trainer/grid.h"
 #include "trainer/stage1.h"
@@ -12,6 +13,8 @@ typedef struct {
     int32_t *bmap;                  /* as orl_scene.bmap */
     float *sdf;                     /* [nbricks][729], fine cells */
     orl_facings facings;            /* towards which normals are turned */
+    orl_backdrop back;              /* what stands beyond the box (backdrop_find) */
+    uint8_t *opacity;               /* [ROWS][COLS] of the backdrop, 0..255; NULL: there is none */
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
@@ -33,9 +36,13 @@ void surface_free(surface *s);
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
 /* Does the sun in direction d reach x, with normal n, on the surface? 0 or 1. */
 int surface_sunlit(const surface *s, const float x[3], const float n[3], const float d[3]);
-/* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut. Higher cuts are passed through (SCENE.md 4.7). */
-enum { MET_NOTHING, MET_SURFACE, MET_GROUND };
-int surface_meet(const surface *s, const float o[3], const float d[3], surface_hit *hit);
+/* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut, or the backdrop before that ground where it is at least so opaque (0..255).
+ * Higher cuts are passed through (SCENE.md 4.7). */
+enum { MET_NOTHING, MET_SURFACE, MET_GROUND, MET_BACKDROP };
+#define SURFACE_NO_BACKDROP 1e9f
+int surface_meet(const surface *s, const float o[3], const float d[3], float opaque, surface_hit *hit);
+/* Place of x on the backdrop, in texels. */
+void surface_backdrop_place(const surface *s, const float x[3], double uv[2]);
 orl_err surface_save(const surface *s, FILE *f);
 orl_err surface_load(surface *s, FILE *f, const char *path);
 #endif

@@ -104,7 +104,7 @@ static void render_range(void *user, int begin, int end)
             for (int a = 0; a < 3; a++) q->rgb[i][a] = (uint8_t)((sum[a] + 2) / (TRANSIENT_HALF * TRANSIENT_HALF));
             world_ray(p, x + 0.5 * TRANSIENT_HALF, y + 0.5 * TRANSIENT_HALF, d);
             memset(&s, 0, sizeof s);
-            int met = surface_meet(j->s2->surf, o, d, &h);
+            int met = surface_meet(j->s2->surf, o, d, SURFACE_NO_BACKDROP, &h);
             if (met == MET_GROUND && world_label(p, x + TRANSIENT_HALF / 2, y + TRANSIENT_HALF / 2) == WORLD_SKY) met = MET_NOTHING;
             if (met == MET_SURFACE) stage2_surface_sample(j->s2, h.x, h.n, &s);
             else if (met == MET_GROUND) stage2_ground_sample(j->s2, h.x, &s);

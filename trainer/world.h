@@ -32,7 +32,7 @@ typedef struct {
     uint32_t obs_begin, obs_count;  /* into world.obs */
 } world_photo;
 
-enum { WORLD_SCENE, WORLD_UNKNOWN, WORLD_SKY };                 /* a pixel's label */
+enum { WORLD_SCENE, WORLD_UNKNOWN, WORLD_SKY, WORLD_BEYOND };   /* a pixel's label; BEYOND: scene, but not of what is in the box */
 
 typedef struct { float u, v; uint32_t point; } world_obs;        /* pixel at training size */
 typedef struct { float x[3]; float weight; } world_point;       /* grid frame; weight from track length and reprojection error */
@@ -104,6 +104,6 @@ struct stereo;
 orl_err hull_build(world *w, const struct stereo *st, int cell, int threads, float **sdf);
 /* Pixels labelled sky with stereo points of three or more other photos all around become unknown where a photo has many: stone in the sun taken for sky. ORL_E_MEMORY. */
 orl_err hull_unsky(world *w, const struct stereo *st, int threads);
-/* Pixels labelled scene whose rays miss the hull (clouds taken for stone, a background outside the box) become unknown: nothing is asked of the surface there. */
+/* Pixels labelled scene whose rays miss the hull (a background outside the box, clouds taken for stone) are labelled beyond: nothing is asked of the surface there. */
 void hull_relabel(world *w, const float *sdf, int cell, int threads);
 #endif

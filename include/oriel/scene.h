@@ -7,6 +7,7 @@
 #define ORIEL_SCENE_H
 #include <stddef.h>
 #include <stdint.h>
+#include "oriel/backdrop.h"
 #include "oriel/facing.h"
 #include "oriel/light.h"
 
@@ -32,6 +33,8 @@ typedef struct {
     float shadow_scale[ORL_SHADOW_DIM];     /* powers of two */
     float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, cells: what rays that meet no brick fall on */
     const uint8_t *ground_albedo;   /* [96][96][3], y outer: linear albedo = (v / 255)^2 over [-8 nb, 16 nb] along x and y, edges go on; NULL: no ground */
+    orl_backdrop backdrop;
+    const uint8_t *backdrop_rgba;   /* [ROWS][COLS][4]: linear albedo = (v / 255)^2 and opacity; NULL: no backdrop */
     orl_facings facings;            /* towards which normals are turned (orl_facing_turn); decoded from int16 */
     orl_light_model light;          /* decoded from int16 with power-of-two scales */
     uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
