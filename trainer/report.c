@@ -96,7 +96,7 @@ static const char STYLE[] =
 
 static void add_head(page *p, text *out, int train)
 {
-    static const struct { const char *id, *title; } LINKS[] = { { "scores", "Scores" }, { "training", "Training" }, { "ablation", "Ablation" }, { "surface", "Surface" }, { "test", "Test photos" }, { "train", "Training photos" },
+    static const struct { const char *id, *title; } LINKS[] = { { "scores", "Scores" }, { "training", "Training" }, { "ablation", "Ablation" }, { "surface", "Surface" }, { "skies", "Skies" }, { "test", "Test photos" }, { "train", "Training photos" },
                                                                 { "legend", "What the figures mean" } };
     text_add(out, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n<title>");
     text_escape(out, p->d->name);
@@ -125,6 +125,7 @@ static orl_err make(page *p)
     eval_setup setup = { .scene = p->s, .model = p->model, .base = &base, .cpu = orl_cpu_detect(), .threads = o->threads };
     if (!e) e = truth_geometry(p->d, p->s, &(truth_options){ .checkpoint = p->head ? o->checkpoint : NULL, .threads = o->threads }, f, &n);
     if (!e) e = report_add_outside(p);
+    if (!e) e = report_add_skies(p);
     if (!e && test) e = add_test_photos(p, &setup);
     setup.base = NULL;              /* what trained the scene needs no comparison */
     setup.model = NULL;
@@ -161,6 +162,7 @@ static const char HELP[] =
     "  -o, --output FILE       page to write\n"
     "      --checkpoint FILE   default: the scene's name with .ckpt appended; without it no curves and no figure on transients\n"
     "      --ablation FILE     table made by tests/ablation.sh\n"
+    "      --sky FILE          a panorama (.hdr, .exr) to show the first test photo's view under; up to 12 of them\n"
     "      --limit N           the first N test photos; default: all\n"
     "      --train N           training photos shown, evenly spread; default 6\n"
     "      --threads N         default: one per core\n"
@@ -223,8 +225,8 @@ static int number(const char *name, const char *value, int lo, int hi, int *out)
 
 int cmd_report(int argc, char **argv)
 {
-    enum { SCENE = 256, CHECKPOINT, ABLATION, LIMIT, TRAIN, THREADS, MOST = 1000000 };
-    static const struct option LONG[] = { { "scene", 1, 0, SCENE }, { "output", 1, 0, 'o' }, { "checkpoint", 1, 0, CHECKPOINT }, { "ablation", 1, 0, ABLATION }, { "limit", 1, 0, LIMIT }, { "train", 1, 0, TRAIN },
+    enum { SCENE = 256, CHECKPOINT, ABLATION, SKY, LIMIT, TRAIN, THREADS, MOST = 1000000 };
+    static const struct option LONG[] = { { "scene", 1, 0, SCENE }, { "output", 1, 0, 'o' }, { "checkpoint", 1, 0, CHECKPOINT }, { "ablation", 1, 0, ABLATION }, { "sky", 1, 0, SKY }, { "limit", 1, 0, LIMIT }, { "train", 1, 0, TRAIN },
                                           { "threads", 1, 0, THREADS }, { "help", 0, 0, 'h' }, { 0 } };
     report_options o = { .train = 6 };
     int c;
@@ -233,6 +235,10 @@ int cmd_report(int argc, char **argv)
         case 'o': o.output = optarg; break;
         case CHECKPOINT: o.checkpoint = optarg; break;
         case ABLATION: o.ablation = optarg; break;
+        case SKY:
+            if (o.nskies == REPORT_SKIES) { fprintf(stderr, "oriel-train report: --sky %s: at most %d skies\n", optarg, REPORT_SKIES); return 2; }
+            o.sky[o.nskies++] = optarg;
+            break;
         case LIMIT: if (!number("limit", optarg, 1, MOST, &o.limit)) return 2; break;
         case TRAIN: if (!number("train", optarg, 0, MOST, &o.train)) return 2; break;
         case THREADS: if (!number("threads", optarg, 1, 64, &o.threads)) return 2; break;

@@ -10,7 +10,8 @@
 
 enum { REPORT_SCORED = 512, REPORT_LARGE = 400, REPORT_SMALL = 270 };    /* long sides: of photos that are scored, of pictures in the page */
 
-typedef struct { const char *dir, *scene, *checkpoint, *ablation, *output; int limit, train, threads; } report_options;
+enum { REPORT_SKIES = 12 };
+typedef struct { const char *dir, *scene, *checkpoint, *ablation, *output, *sky[REPORT_SKIES]; int nskies, limit, train, threads; } report_options;
 typedef struct {
     const report_options *o;
     const orl_dataset *d;
@@ -39,6 +40,9 @@ orl_err report_add_outside(page *p);
 /* report_photo.c: a photo beside its render, and what that is made of. half: the light is found on the left half, else on the whole photo. row receives the scores; shown is 0 where the photo cannot be
  * read, which is said on standard error. */
 orl_err report_add_photo(page *p, const orl_photo *photo, const eval_setup *setup, int half, eval_row *row, int *shown);
+
+/* report_skies.c: the first test photo's view under the skies asked for. */
+orl_err report_add_skies(page *p);
 
 /* report_tables.c */
 void report_add_facts(page *p, int train, int test, const figure *f, int n);
