@@ -17,16 +17,16 @@
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
-typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.7] */
-typedef struct { orl_backdrop room; uint8_t rgba[ORL_BACK_ROWS][ORL_BACK_COLS][4]; } back_bytes;                                                                              /* [4.8] */
-typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.10] */
-typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.11] */
-typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.12] */
+typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.8] */
+typedef struct { orl_backdrop room; uint8_t rgba[ORL_BACK_ROWS][ORL_BACK_COLS][4]; } back_bytes;                                                                              /* [4.9] */
+typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.11] */
+typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.12] */
+typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.13] */
 _Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(back_bytes) == 196620 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
@@ -120,16 +120,18 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         if (bricks > places) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %u bricks in %llu places", name, h->nbricks, (unsigned long long)places);
     }
     /* bricks is at most 2^24: no product below leaves 64 bits */
-    const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [ALBD] = bricks * ORL_BRICK_VERTS * 3,
+    const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [SKIN] = 4 * bricks,
         [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [BACK] = sizeof(back_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
         if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        if (t == CODE || t == FACE) continue;
+        if (t == ALBD || t == CODE || t == FACE) continue;
         int required = t <= ALBD ? scene : t > FACE;
         if ((e = need(l, t, required, want[t], name))) return e;
     }
-    span face = l->known[FACE], code = l->known[CODE];
+    span base = l->known[ALBD], face = l->known[FACE], code = l->known[CODE];
+    if (scene && !base.at) return orl_fail(ORL_E_FORMAT, "%s: section ALBD is missing", name);
+    if (base.bytes % (3 * ORL_SKIN_TEXELS) || base.bytes / (3 * ORL_SKIN_TEXELS) > ORL_SKIN_MOST) return orl_fail(ORL_E_FORMAT, "%s: section ALBD: %llu bytes", name, (unsigned long long)base.bytes);
     if (face.at && (face.bytes % 6 || face.bytes == 0 || face.bytes / 6 > ORL_FACINGS)) return orl_fail(ORL_E_FORMAT, "%s: section FACE: %llu bytes", name, (unsigned long long)face.bytes);
     uint64_t one = ORL_CODE * sizeof(float);
     if (code.at && (code.bytes % one || code.bytes == 0 || code.bytes / one > MAX_CODES))
@@ -143,7 +145,9 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         memcpy(s->shadow_scale, h->shadow_scale, sizeof s->shadow_scale);
         s->bmap = (const int32_t *)l->known[BMAP].at;
         s->sdf = (const int8_t *)l->known[SDF8].at;
-        s->albedo = l->known[ALBD].at;
+        s->skin = (const uint32_t *)l->known[SKIN].at;
+        s->albedo = base.at;
+        s->ntextures = (uint32_t)(base.bytes / (3 * ORL_SKIN_TEXELS));
         s->lite = l->known[LITE].at;
         s->shadow = (const int8_t *)l->known[SHAD].at;
         const grnd_bytes *g = (const grnd_bytes *)l->known[GRND].at;
@@ -199,6 +203,13 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
     uint64_t places = (uint64_t)s->nb[0] * s->nb[1] * s->nb[2];
     for (uint64_t i = 0; i < places; i++)
         if (s->bmap[i] >= (int64_t)s->nbricks || s->bmap[i] < -127) return orl_fail(ORL_E_RANGE, "%s: section BMAP: entry %llu = %d", name, (unsigned long long)i, s->bmap[i]);
+    uint64_t textures = 0;
+    for (uint32_t i = 0; i < s->nbricks; i++) {
+        unsigned faces = orl_skin_mask(s->skin[i]);
+        if (!faces || orl_skin_first(s->skin[i]) != textures) return orl_fail(ORL_E_RANGE, "%s: section SKIN: entry %u = %u", name, i, s->skin[i]);
+        textures += (unsigned)__builtin_popcount(faces);
+    }
+    if (textures != s->ntextures) return orl_fail(ORL_E_FORMAT, "%s: section ALBD: %u textures, SKIN has %llu", name, s->ntextures, (unsigned long long)textures);
     return ORL_OK;
 }
 
@@ -339,7 +350,7 @@ orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, in
 
 /* ---- write */
 
-/* Smallest exponent at which v fits int16 [4.11.1]. */
+/* Smallest exponent at which v fits int16 [4.12.1]. */
 static orl_err encode(const float *v, int n, int16_t *q, int32_t *exponent, const char *field, const char *path)
 {
     float top = 0;
@@ -419,8 +430,8 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
             back->room = s->backdrop;
             memcpy(back->rgba, s->backdrop_rgba, sizeof back->rgba);
         }
-        const void *d[] = { &head, s->bmap, s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, back, s->facings.n ? face : NULL };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, n * ORL_BRICK_VERTS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, sizeof *back, (uint64_t)s->facings.n * sizeof *face };
+        const void *d[] = { &head, s->bmap, s->sdf, s->skin, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, back, s->facings.n ? face : NULL };
+        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, 4 * n, (uint64_t)s->ntextures * ORL_SKIN_TEXELS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, sizeof *back, (uint64_t)s->facings.n * sizeof *face };
         for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
     }
     uint32_t count = 0;

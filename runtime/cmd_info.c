@@ -67,8 +67,8 @@ int orl_cmd_info(int argc, char **argv)
             json_string(part[i].tag);
             printf(", \"offset\": %" PRIu64 ", \"bytes\": %" PRIu64 ", \"crc\": %" PRIu32 "}", part[i].offset, part[i].bytes, part[i].crc);
         }
-        printf("], \"grid\": [%u, %u, %u], \"cell_world\": %.9g, \"bricks\": %u, \"horizon\": %s, \"facings\": %d, \"backdrop\": %.9g, \"shadow_dims\": %d, \"env_dims\": %d, \"sky_dims\": %d, \"codes\": %u, \"world_to_grid\": [",
-               s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, s.nbricks, s.lite ? "true" : "false", s.facings.n, (double)s.backdrop.half[0] / (4.0 * (s.nb[0] ? s.nb[0] : 1)), shadow, env, own, s.ncodes);
+        printf("], \"grid\": [%u, %u, %u], \"cell_world\": %.9g, \"bricks\": %u, \"textures\": %u, \"horizon\": %s, \"facings\": %d, \"backdrop\": %.9g, \"shadow_dims\": %d, \"env_dims\": %d, \"sky_dims\": %d, \"codes\": %u, \"world_to_grid\": [",
+               s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, s.nbricks, s.ntextures, s.lite ? "true" : "false", s.facings.n, (double)s.backdrop.half[0] / (4.0 * (s.nb[0] ? s.nb[0] : 1)), shadow, env, own, s.ncodes);
         for (int i = 0; i < 12; i++) printf("%s%.17g", i ? ", " : "", g[i]);
         printf("]}\n");
     } else {
@@ -76,6 +76,7 @@ int orl_cmd_info(int argc, char **argv)
         for (int i = 0; i < n; i++) printf("  %-4s  %10" PRIu64 " bytes at %10" PRIu64 "  crc %08" PRIx32 "\n", part[i].tag, part[i].bytes, part[i].offset, part[i].crc);
         if (total) printf("grid      %u x %u x %u cells of %.6g, box %.5g x %.5g x %.5g world units\n", s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, size[0], size[1], size[2]);
         if (total) printf("bricks    %u of %" PRIu64 " (%.1f %%)\n", s.nbricks, total, 100.0 * s.nbricks / (double)total);
+        if (total) printf("textures  %u of base colour, %d texels a cell, %.2f a brick\n", s.ntextures, ORL_SKIN_PER_CELL, s.ntextures / (double)(s.nbricks + !s.nbricks));
         if (s.facings.n) printf("facings   %d directions that walls have\n", s.facings.n);
         if (s.backdrop_rgba) printf("backdrop  on walls %.3g times as far away as the box's\n", (double)s.backdrop.half[0] / (4.0 * s.nb[0]));
         printf("light     %d of %d environment dimensions, %d of %d of the sky's own, %s, %d of %d shadow features\n", env, ORL_ENV_DIM, own, ORL_SKY_DIM,

@@ -131,19 +131,13 @@ static inline void weights(const int32_t f[3], uint32_t w[8])
     }
 }
 
-/* Base colour is interpolated in linear light, as the trainer does. */
 static void attributes(const orl_scene *s, const int32_t p[3], int32_t brick, orl_hit *h)
 {
     int32_t q[3], f[3];
-    uint32_t w[8], sum[3] = { 0 };
+    uint32_t w[8], entry = s->skin[brick];
     local(p, p, q);
-    const uint8_t *al = s->albedo + ((size_t)brick * ORL_BRICK_VERTS + (size_t)cell_of(q, f)) * 3;
-    weights(f, w);
-    for (int k = 0; k < 8; k++) {
-        const uint8_t *v = al + 3 * ((k & 1) + 9 * (k >> 1 & 1) + 81 * (k >> 2));
-        for (int c = 0; c < 3; c++) sum[c] += w[k] * v[c] * v[c];                       /* at most 2^16 x 255^2 < 2^32 */
-    }
-    for (int c = 0; c < 3; c++) h->albedo[c] = (uint32_t)(((uint64_t)sum[c] * 66051) >> 32);    /* 65535 / 65025 */
+    int face = orl_skin_face(orl_skin_mask(entry), h->grad);
+    orl_skin_colour(s->albedo + (size_t)orl_skin_texture(entry, face) * ORL_SKIN_TEXELS * 3, face, q, h->albedo);
     memset(h->lite, 0, sizeof h->lite);
     memset(h->phi, 0, sizeof h->phi);
     if (!s->lite) h->lite[0] = 255 << 16;

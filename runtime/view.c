@@ -84,7 +84,7 @@ static void palette_dir(int index, float n[3])
 
 typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
 
-/* The ground as in SCENE.md 4.7, in double with + - * / only: height over it, where it is met, and its colour. */
+/* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
 
 static int ground_meet(const orl_scene *s, const double o[3], const double d[3], double *t)
@@ -116,7 +116,7 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
     h->t = (int64_t)(t * 65536 + 0.5);
 }
 
-/* The backdrop as in SCENE.md 4.8: met nearer than `before` where its opacity (0..255) is at least opaque / 8 of 255. */
+/* The backdrop as in SCENE.md 4.9: met nearer than `before` where its opacity (0..255) is at least opaque / 8 of 255. */
 static int backdrop_meet(const orl_scene *s, const double o[3], const double d[3], int opaque, double before, orl_hit *h)
 {
     const double middle[2] = { 4.0 * s->nb[0], 4.0 * s->nb[1] };

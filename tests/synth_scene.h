@@ -1,4 +1,4 @@
-/* A small analytic scene in memory for tests: a sphere that stands in a ground plane, exact SDF in bricks, smooth base colour, light and shadow vertices, the default light model, two codes.
+/* A small analytic scene in memory for tests: a sphere that stands in a ground plane, exact SDF in bricks, smooth base colour in textures, light and shadow vertices, the default light model, two codes.
  *
  *   orl_scene s;
  *   synth_scene_make(&s, 8, 8, 6);                      64 x 64 x 48 cells; arrays are malloc'd, orl_scene_write takes it as it is
@@ -47,11 +47,58 @@ static inline void synth_scene_free(orl_scene *s)
 {
     free((void *)s->bmap);
     free((void *)s->sdf);
+    free((void *)s->skin);
     free((void *)s->albedo);
     free((void *)s->lite);
     free((void *)s->shadow);
     free((void *)s->codes);
     memset(s, 0, sizeof *s);
+}
+
+static inline void synth_colour(const double p[3], uint8_t rgb[3])
+{
+    rgb[0] = (uint8_t)(120 + 100 * synth_wave(p[0] / 17));
+    rgb[1] = (uint8_t)(110 + 90 * synth_wave(p[1] / 13));
+    rgb[2] = (uint8_t)(100 + 80 * synth_wave((p[0] + p[2]) / 29));
+}
+
+/* Faces that the surface in the brick at o looks at; at least one. */
+static inline unsigned synth_faces(const orl_scene *s, const double o[3])
+{
+    unsigned mask = 0;
+    for (int i = 0; i < 512; i++) {
+        double p[3] = { o[0] + i % 8 + 0.5, o[1] + i / 8 % 8 + 0.5, o[2] + i / 64 + 0.5 };
+        int32_t grad[3];
+        if (fabs(synth_distance(s, p)) > 1) continue;
+        for (int a = 0; a < 3; a++) {
+            double q[3] = { p[0], p[1], p[2] }, r[3] = { p[0], p[1], p[2] };
+            q[a] += 2;
+            r[a] -= 2;
+            grad[a] = (int32_t)(4096 * (synth_distance(s, q) - synth_distance(s, r)));
+        }
+        mask |= 1u << orl_skin_face(63, grad);
+    }
+    return mask ? mask : 1;
+}
+
+/* One texture: the colour where the line through each texel enters the surface, near the brick at o. */
+static inline void synth_texture(const orl_scene *s, const double o[3], int face, uint8_t *texel)
+{
+    int a = face >> 1, out = face & 1 ? -1 : 1;
+    for (int t = 0; t < ORL_SKIN_TEXELS; t++) {
+        double p[3], at = 4, far = 1e9, before = -1;
+        p[(a + 1) % 3] = o[(a + 1) % 3] + (double)(t % ORL_SKIN_SIDE) / ORL_SKIN_PER_CELL;
+        p[(a + 2) % 3] = o[(a + 2) % 3] + (double)(t / ORL_SKIN_SIDE) / ORL_SKIN_PER_CELL;
+        for (int k = -16; k <= 48; k++) {
+            double h = out > 0 ? 8 - k / 4.0 : k / 4.0, off = h < 0 ? -h : h > 8 ? h - 8 : 0;
+            p[a] = o[a] + h;
+            double d = synth_distance(s, p);
+            if (d <= 0 && before > 0 && off < far) { far = off; at = h + out * 0.25 * d / (d - before); }
+            before = d;
+        }
+        p[a] = o[a] + at;
+        synth_colour(p, texel + 3 * t);
+    }
 }
 
 static inline void synth_scene_make(orl_scene *s, uint32_t nbx, uint32_t nby, uint32_t nbz)
@@ -64,10 +111,12 @@ static inline void synth_scene_make(orl_scene *s, uint32_t nbx, uint32_t nby, ui
     for (int pass = 0; pass < 2; pass++) {
         int8_t *sdf = NULL;
         uint8_t *alb = NULL, *lite = NULL;
+        uint32_t *skin = NULL;
         int8_t *sh = NULL;
         if (pass) {
             s->sdf = sdf = malloc(n * ORL_BRICK_VERTS + 1);
-            s->albedo = alb = malloc(n * ORL_BRICK_VERTS * 3 + 1);
+            s->skin = skin = malloc((n + 1) * sizeof *skin);
+            s->albedo = alb = malloc(n * ORL_SKIN_FACES * ORL_SKIN_TEXELS * 3 + 1);
             s->lite = lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
             s->shadow = sh = malloc(n * ORL_LITE_VERTS * ORL_SHADOW_DIM + 1);
         }
@@ -82,11 +131,11 @@ static inline void synth_scene_make(orl_scene *s, uint32_t nbx, uint32_t nby, ui
                 size_t at = (size_t)map[b] * ORL_BRICK_VERTS + (size_t)v;
                 double q = floor(d * ORL_SDF_UNIT + 0.5);
                 sdf[at] = (int8_t)(q > 127 ? 127 : q < -128 ? -128 : q);
-                alb[3 * at] = (uint8_t)(120 + 100 * synth_wave(p[0] / 17));
-                alb[3 * at + 1] = (uint8_t)(110 + 90 * synth_wave(p[1] / 13));
-                alb[3 * at + 2] = (uint8_t)(100 + 80 * synth_wave((p[0] + p[2]) / 29));
             }
             if (!pass) { map[b] = lo < 0 && hi > 0 ? (int32_t)n++ : -1; continue; }
+            unsigned faces = synth_faces(s, o);
+            skin[map[b]] = s->ntextures << 6 | faces;
+            for (int f = 0; f < ORL_SKIN_FACES; f++) if (faces >> f & 1) synth_texture(s, o, f, alb + (size_t)s->ntextures++ * ORL_SKIN_TEXELS * 3);
             for (int v = 0; v < ORL_LITE_VERTS; v++) {
                 double p[3] = { o[0] + 4 * (v % 3), o[1] + 4 * (v / 3 % 3), o[2] + 4 * (v / 9) };
                 size_t at = (size_t)map[b] * ORL_LITE_VERTS + (size_t)v;

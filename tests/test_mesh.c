@@ -7,16 +7,18 @@
 enum { NB = 4, BRICKS = NB * NB * NB };
 static const double CENTRE[3] = { 15.7, 16.2, 15.9 }, RADIUS = 11.3, SCALE = 20, COS = 0.8, SIN = 0.6;
 static int8_t sdf[BRICKS * ORL_BRICK_VERTS];
-static uint8_t albedo[BRICKS * ORL_BRICK_VERTS * 3];
+static uint8_t albedo[BRICKS * ORL_SKIN_TEXELS * 3];
+static uint32_t skin[BRICKS];
 static int32_t bmap[BRICKS];
 
 static double distance(const double p[3]) { return sqrt((p[0] - CENTRE[0]) * (p[0] - CENTRE[0]) + (p[1] - CENTRE[1]) * (p[1] - CENTRE[1]) + (p[2] - CENTRE[2]) * (p[2] - CENTRE[2])) - RADIUS; }
 
 static orl_scene sphere(void)
 {
-    orl_scene s = { .nb = { NB, NB, NB }, .cell_world = (float)(1 / SCALE), .bmap = bmap, .sdf = sdf, .albedo = albedo, .title = "a ball",
+    orl_scene s = { .nb = { NB, NB, NB }, .cell_world = (float)(1 / SCALE), .bmap = bmap, .sdf = sdf, .skin = skin, .albedo = albedo, .title = "a ball",
                     .world_to_grid = { SCALE * COS, SCALE * -SIN, 0, 3, SCALE * SIN, SCALE * COS, 0, -4, 0, 0, SCALE, 5 } };
     memset(albedo, 128, sizeof albedo);
+    for (unsigned b = 0; b < BRICKS; b++) skin[b] = b << 6 | 1u << b % 6;
     for (int b = 0; b < BRICKS; b++) {
         int lo = 127, hi = -128, o[3] = { b % NB * 8, b / NB % NB * 8, b / NB / NB * 8 };
         for (int v = 0; v < ORL_BRICK_VERTS; v++) {

@@ -93,7 +93,7 @@ static uint8_t *copy(void)
 
 static size_t section(const char *tag)
 {
-    for (int i = 0; i < 12; i++) {
+    for (int i = 0; i < 13; i++) {
         uint64_t at;
         memcpy(&at, file + 64 + 32 * i + 8, 8);
         if (!memcmp(file + 64 + 32 * i, tag, 4)) return (size_t)at;
@@ -130,7 +130,9 @@ static void test_round_trip(void **state)
     assert_int_equal(r.nbricks, w.nbricks);
     assert_memory_equal(r.bmap, w.bmap, 60 * 4);
     assert_memory_equal(r.sdf, w.sdf, w.nbricks * ORL_BRICK_VERTS);
-    assert_memory_equal(r.albedo, w.albedo, w.nbricks * ORL_BRICK_VERTS * 3);
+    assert_int_equal(r.ntextures, w.ntextures);
+    assert_memory_equal(r.skin, w.skin, w.nbricks * 4);
+    assert_memory_equal(r.albedo, w.albedo, w.ntextures * ORL_SKIN_TEXELS * 3);
     assert_memory_equal(r.lite, w.lite, w.nbricks * ORL_LITE_VERTS * ORL_LITE_BYTES);
     assert_memory_equal(r.shadow, w.shadow, w.nbricks * ORL_LITE_VERTS * ORL_SHADOW_DIM);
     assert_memory_equal(r.codes, w.codes, 2 * ORL_CODE * 4);
@@ -190,8 +192,8 @@ static void test_optional(void **state)
     bare.lite = NULL; bare.shadow = NULL; bare.ncodes = 0;
     assert_int_equal(orl_scene_write(path2, &bare, NULL), ORL_OK);
     assert_int_equal(orl_scene_sections(path2, list, 16, &n), ORL_OK);
-    assert_int_equal(n, 8);
-    assert_int_equal(orl_scene_sections(path2, list, 7, &n), ORL_E_MEMORY);
+    assert_int_equal(n, 9);
+    assert_int_equal(orl_scene_sections(path2, list, 8, &n), ORL_E_MEMORY);
     assert_int_equal(orl_scene_open(path2, &r), ORL_OK);
     assert_null(r.lite); assert_null(r.shadow); assert_null(r.codes);
     assert_true(r.shadow_scale[0] == 0 && r.facings.n == 0);
@@ -207,10 +209,13 @@ static void test_optional(void **state)
     orl_scene empty = w;
     int32_t map[12];
     for (int i = 0; i < 12; i++) map[i] = -127;
-    empty.bmap = map; empty.nbricks = 0;
+    empty.bmap = map; empty.nbricks = empty.ntextures = 0;
     assert_int_equal(orl_scene_write(path2, &empty, NULL), ORL_OK);
     map[3] = 0;
     assert_int_equal(orl_scene_write(path2, &empty, NULL), ORL_E_RANGE);
+    w.ntextures--;
+    assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_FORMAT);
+    w.ntextures++;
     w.facings = FACINGS;
     w.facings.dir[1][0] = NAN;
     assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_RANGE);
@@ -239,7 +244,7 @@ static void test_truncation(void **state)
             if (n % 97 == 0 || n > file_n - 70) {
                 put64(b + 16, n);
                 put32(b + 24, 0);
-                if (n >= 64 + 11 * 32) put32(b + 24, crc32_slow(b, 64 + 11 * 32));
+                if (n >= 64 + 12 * 32) put32(b + 24, crc32_slow(b, 64 + 12 * 32));
                 refuse(b, n, ORL_E_FORMAT);
                 memcpy(b, keep, 32);
             }
@@ -308,8 +313,11 @@ static void test_flipped_bytes(void **state)
 static void test_field_ranges(void **state)
 {
     (void)state;
-    size_t head = section("HEAD"), map = section("BMAP"), skyd = section("SKYD"), skyg = section("SKYG");
+    size_t head = section("HEAD"), map = section("BMAP"), skin = section("SKIN"), skyd = section("SKYD"), skyg = section("SKYG");
     size_t prio = section("PRIO"), code = section("CODE"), face = section("FACE"), meta = section("META");
+    uint32_t bricks, last;
+    memcpy(&bricks, file + head + 12, 4);
+    memcpy(&last, file + skin + 4 * (bricks - 1), 4);
     const uint32_t nan = 0x7fc00000, inf = 0x7f800000, huge = 0xffffffff;
     struct { size_t at; uint32_t v; orl_err want; } edit[] = {
         { head, 0, ORL_E_RANGE }, { head, 513, ORL_E_RANGE }, { head, huge, ORL_E_RANGE }, { head + 4, 512, ORL_E_FORMAT },
@@ -319,6 +327,7 @@ static void test_field_ranges(void **state)
         { head + 112, nan, ORL_E_RANGE }, { head + 112, 0, ORL_E_RANGE }, { head + 112, 0x3f800000, ORL_E_RANGE },
         { head + 116, 0x3f800001, ORL_E_RANGE }, { head + 116, inf, ORL_E_RANGE }, { head + 116, 0xbf800000, ORL_E_RANGE }, { head + 148, 1, ORL_E_FORMAT },
         { map, 0x7fffffff, ORL_E_RANGE }, { map + 4, 0x80000000, ORL_E_RANGE }, { map + 4, (uint32_t)-128, ORL_E_RANGE }, { map, 6, ORL_E_RANGE },
+        { skin, 0, ORL_E_RANGE }, { skin, 64 | 1, ORL_E_RANGE }, { skin, 63, ORL_E_RANGE }, { skin + 4, 16, ORL_E_RANGE }, { skin + 4, 0xffffffff, ORL_E_RANGE }, { skin + 4 * (bricks - 1), last | 63, ORL_E_FORMAT },
         { skyd, 16, ORL_E_RANGE }, { skyd + 4, (uint32_t)-41, ORL_E_RANGE }, { skyd + 60, 1, ORL_E_FORMAT },
         { skyg, huge / 2, ORL_E_RANGE }, { skyg + 60, 0x10000, ORL_E_FORMAT },
         { prio, nan, ORL_E_RANGE }, { prio + 148, 0xbf800000, ORL_E_RANGE }, { prio + 152, inf, ORL_E_RANGE },

@@ -1,4 +1,5 @@
-/* Ground that one photo sees takes the colour of the ground that many see, and no shadow of its own; ground that many see keeps its own colour. What a fit is told to leave out has no say. */
+/* Ground that one photo sees takes the colour of the ground that many see, and no shadow of its own; ground that many see keeps its own colour. What a fit is told to leave out has no say. Textures come closer to the photos than the grids, and take nothing from ground
+ * that few photos see. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -117,8 +118,62 @@ static void what_is_left_out_has_no_say(void **state)
     end(&none);
 }
 
+/* Mean distance of the photos' surface pixels from the model, and by how much textures differ from the grids there. */
+static float distance(const stages *t, float *change)
+{
+    double sum = 0, off = 0;
+    int n = 0;
+    for (int k = 0; k < t->w.nphotos; k++) {
+        orl_light light;
+        orl_light_decode(&t->s.light, t->s.codes[k], &light);
+        for (uint32_t i = t->s.begin[k]; i < t->s.begin[k + 1]; i++) {
+            const stage2_pixel *q = &t->s.px[i];
+            surface_hit h = { 0 };
+            orl_sample o = { 0 };
+            int b[3];
+            float rgb[3], grids[3];
+            if (q->surface != MET_SURFACE || surface_brick(&t->surf, q->x, b) < 0) continue;
+            memcpy(h.x, q->x, sizeof h.x);
+            memcpy(h.n, q->n, sizeof h.n);
+            surface_gradient(&t->surf, q->x, b, h.grad);
+            stage2_surface_sample(&t->s, &h, &o);
+            stage2_albedo(&t->s, q->x, grids);
+            o.fix = q->fix / 127.0f;
+            orl_light_shade(&light, &o, rgb);
+            for (int c = 0; c < 3; c++) { sum += fabsf(rgb[c] - q->rgb[c] / 255.0f); off += fabsf(o.albedo[c] - grids[c]); }
+            n += 3;
+        }
+    }
+    assert_true(n > 300);
+    *change = (float)(off / n);
+    return (float)(sum / n);
+}
+
+static void textures_are_finer(void **state)
+{
+    (void)state;
+    for (int few = 0; few < 2; few++) {
+        stages t;
+        stage2_losses l;
+        float change;
+        start(&t, 0);
+        for (int i = 0; i < 6; i++) stage2_round(&t.s, &l);
+        for (uint32_t i = 0; i < t.s.begin[t.w.nphotos]; i++) t.s.px[i].few = (uint8_t)few;
+        float grids = distance(&t, &change);
+        assert_true(change == 0);
+        assert_int_equal(stage2_texture(&t.s), ORL_OK);
+        assert_true(t.s.skin.n >= t.surf.nbricks);
+        float textures = distance(&t, &change);
+        print_message("%s: off by %.4f with grids, by %.4f with textures; these differ by %.4f\n", few ? "few" : "all", grids, textures, change);
+        if (few) assert_true(change < 0.005f);
+        else assert_true(change > 0.01f && textures < 0.9f * grids);
+        end(&t);
+    }
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(few_photos_leave_no_stain), cmocka_unit_test(what_is_left_out_has_no_say) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(few_photos_leave_no_stain), cmocka_unit_test(what_is_left_out_has_no_say),
+                                        cmocka_unit_test(textures_are_finer) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -22,7 +22,7 @@ static void shadow_scales(const surface *surf, const stage2 *s2, float scale[ORL
     }
 }
 
-/* Base colour of the ground: texels as in SCENE.md 4.7, each the mean of a few places in it. */
+/* Base colour of the ground: texels as in SCENE.md 4.8, each the mean of a few places in it. */
 static void ground_texels(const surface *surf, const stage2 *s2, uint8_t (*out)[3])
 {
     enum { SUB = 4 };
@@ -66,7 +66,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     uint8_t (*ground)[3] = malloc((size_t)ORL_GROUND_SIDE * ORL_GROUND_SIDE * sizeof *ground);
     uint8_t (*back)[4] = malloc((size_t)ORL_BACK_TEXELS * sizeof *back);
     int8_t *sdf = malloc(n * ORL_BRICK_VERTS + 1), *shadow = malloc(n * ORL_LITE_VERTS * ORL_SHADOW_DIM + 1);
-    uint8_t *albedo = malloc(n * ORL_BRICK_VERTS * 3 + 1), *lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
+    uint8_t *albedo = malloc((size_t)s2->skin.n * ORL_SKIN_TEXELS * 3 + 1), *lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);
     orl_err e = ORL_OK;
     if (!ground || !back || !sdf || !shadow || !albedo || !lite) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %zu bricks", path, n); goto done; }
     shadow_scales(surf, s2, sc.shadow_scale);
@@ -77,9 +77,6 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
         for (int v = 0; v < ORL_BRICK_VERTS; v++) {
             float q = surf->sdf[b * ORL_BRICK_VERTS + (size_t)v] * ORL_SDF_UNIT;
             sdf[b * ORL_BRICK_VERTS + (size_t)v] = (int8_t)(q > 127 ? 127 : q < -128 ? -128 : q == q ? (int)floorf(q + 0.5f) : 0);
-            float x[3] = { (float)(o[0] + v % 9), (float)(o[1] + v / 9 % 9), (float)(o[2] + v / 81) }, a[3];
-            stage2_albedo(s2, x, a);
-            for (int c = 0; c < 3; c++) albedo[(b * ORL_BRICK_VERTS + (size_t)v) * 3 + (size_t)c] = quant8(sqrtf(a[c]));
         }
         for (int v = 0; v < ORL_LITE_VERTS; v++) {
             int x = o[0] / 4 + v % 3, y = o[1] / 4 + v / 3 % 3, z = o[2] / 4 + v / 9;
@@ -94,6 +91,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
             }
         }
     }
+    for (size_t i = 0; i < (size_t)s2->skin.n * ORL_SKIN_TEXELS; i++) for (size_t c = 0; c < 3; c++) albedo[3 * i + c] = quant8(sqrtf(s2->skin.texel[i][c]));
     ground_texels(surf, s2, ground);
     if (surf->back.height > 0) {
         backdrop_texels(surf, s2, back);
@@ -105,6 +103,8 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     sc.ground_albedo = ground[0];
     sc.bmap = surf->bmap;
     sc.sdf = sdf;
+    sc.ntextures = s2->skin.n;
+    sc.skin = s2->skin.index;
     sc.albedo = albedo;
     sc.lite = s2->opt.without & WITHOUT_VISIBILITY ? NULL : lite;
     sc.shadow = shadow;

@@ -294,6 +294,9 @@ static orl_err run_stage2(run *r)
         if ((e = save_sometimes(r))) return e;
     }
     stage2_prior(s);
+    double began = now();
+    if ((e = stage2_texture(s))) return e;
+    tell("base colour: %u textures, %.1f s\n", s->skin.n, now() - began);
     r->head.phase = 3;
     return ORL_OK;
 }

@@ -78,15 +78,15 @@ static int place_vertex(const float f[8], float q[3])
     return 1;
 }
 
-static uint8_t to_srgb(float sqrt_linear)       /* the scene stores square roots of linear base colour */
+static uint8_t to_srgb(float linear)
 {
-    return (uint8_t)(fminf(orl_light_encode(sqrt_linear * sqrt_linear), 1) * 255 + 0.5f);
+    return (uint8_t)(fminf(orl_light_encode(linear), 1) * 255 + 0.5f);
 }
 
 static orl_err brick_vertices(net *t, const int at[3], size_t b)
 {
     const int8_t *sdf = t->s->sdf + b * ORL_BRICK_VERTS;
-    const uint8_t *base = t->s->albedo + b * ORL_BRICK_VERTS * 3;
+    uint32_t skin = t->s->skin[b];
     mesh *m = t->m;
     for (int i = 0; i < CELLS; i++) {
         int x = i % 8, y = i / 8 % 8, z = i / 64, corner[8];
@@ -102,11 +102,17 @@ static orl_err brick_vertices(net *t, const int at[3], size_t b)
         p[0] = (float)(8 * at[0] + x) + q[0];
         p[1] = (float)(8 * at[1] + y) + q[1];
         p[2] = (float)(8 * at[2] + z) + q[2];
-        for (int c = 0; c < 3; c++) {
-            float v = 0;
-            for (int k = 0; k < 8; k++) v += (float)base[3 * corner[k] + c] / 255 * (k & 1 ? q[0] : 1 - q[0]) * (k & 2 ? q[1] : 1 - q[1]) * (k & 4 ? q[2] : 1 - q[2]);
-            m->rgb[m->nverts][c] = to_srgb(v);
+        float g[3];
+        int32_t grad[3], in[3];
+        uint32_t rgb[3];
+        trilinear(f, q, g);
+        for (int a = 0; a < 3; a++) {
+            grad[a] = (int32_t)(g[a] * 65536);
+            in[a] = (int32_t)(((float)(a == 0 ? x : a == 1 ? y : z) + q[a]) * 4096);
         }
+        int face = orl_skin_face(orl_skin_mask(skin), grad);
+        orl_skin_colour(t->s->albedo + (size_t)orl_skin_texture(skin, face) * ORL_SKIN_TEXELS * 3, face, in, rgb);
+        for (int c = 0; c < 3; c++) m->rgb[m->nverts][c] = to_srgb((float)rgb[c] / 65535);
         t->index[b * CELLS + (size_t)i] = ++m->nverts;
     }
     return ORL_OK;

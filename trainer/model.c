@@ -56,7 +56,7 @@ static float pixel_sample(const gbuffer_job *j, int x, int y, orl_sample *s)
         world_ray(&j->cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), d);
         orl_sample q;
         int met = surface_meet(&m->surf, o, d, (float)(2 * k + 1) * (255.0f / 8), &h);
-        if (met == MET_SURFACE) stage2_surface_sample(&m->s2, h.x, h.n, &q);
+        if (met == MET_SURFACE) stage2_surface_sample(&m->s2, &h, &q);
         else if (met == MET_GROUND) stage2_ground_sample(&m->s2, h.x, &q);
         else if (met == MET_BACKDROP) stage2_backdrop_sample(&m->s2, h.x, h.n, &q);
         else continue;

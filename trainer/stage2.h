@@ -2,6 +2,7 @@
 #ifndef TRAINER_STAGE2_H
 #define TRAINER_STAGE2_H
 #include "oriel/adapt.h"
+#include "trainer/skin.h"
 #include "trainer/surface.h"
 
 enum { ALBEDO_LEVELS = 3, GROUND_LEVELS = 3, BACKDROP_LEVELS = 3, STAGE2_VISITS = 64 };
@@ -33,12 +34,14 @@ typedef struct {
     orl_light_model light;
     grid albedo[ALBEDO_LEVELS];     /* cells of 1, 4, 16; RGB linear, summed */
     grid shadow;                    /* cell 4: 8 features */
+    skin skin;                      /* base colour once the rounds are over; nothing before */
     float (*codes)[ORL_CODE];       /* per training photo */
     float common[3];                /* median base colour of ground that many photos see */
     grid ground[GROUND_LEVELS];     /* over the plan of the box and as much again on each side, cells of 8, 32, 128: what the ground beyond the surface has besides the common colour */
     grid backdrop[BACKDROP_LEVELS]; /* over its texels, cells of 1, 4, 16 */
     int *order;                     /* in which rounds visit the photos */
-    uint32_t *begin;                  /* pixels of photo k: [begin[k], begin[k + 1]) */
+    int detail;                     /* pixels of a photo that are kept for textures, at most; rounds take the first opt.pixels of them */
+    uint32_t *begin;                /* pixels of photo k: [begin[k], begin[k + 1]) */
     stage2_pixel *px;
     float *adam;                    /* moments of sky generator and ground */
 } stage2;
@@ -50,8 +53,10 @@ void stage2_free(stage2 *s);
 void stage2_round(stage2 *s, stage2_losses *out);
 /* Gaussian prior from the training codes, shrunk towards the decoder's. */
 void stage2_prior(stage2 *s);
-/* Fills albedo, phi, open, horizon of a surface sample at x with normal n. */
-void stage2_surface_sample(const stage2 *s, const float x[3], const float n[3], orl_sample *out);
+/* After the last round: base colour in textures, from all pixels. */
+orl_err stage2_texture(stage2 *s);
+/* Fills albedo, normal, phi, open, horizon of a surface sample. */
+void stage2_surface_sample(const stage2 *s, const surface_hit *h, orl_sample *out);
 /* The same for the ground beyond the surface: open, no horizon, no shadow features. */
 void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out);
 /* And for the backdrop. */
@@ -62,6 +67,7 @@ int stage2_traces(const stage2 *s, const orl_light *l);
 float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const float n[3], const orl_sample *o);
 /* Base colour of a texel of the backdrop. */
 void stage2_backdrop_texel(const stage2 *s, int texel, float rgb[3]);
+/* Base colour by the grids. */
 void stage2_albedo(const stage2 *s, const float x[3], float rgb[3]);
 orl_err stage2_save(const stage2 *s, FILE *f, int moments);
 orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path);

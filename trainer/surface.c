@@ -114,7 +114,7 @@ static const float *brick_at(const surface *s, const float x[3], int b[3], int *
     return s->sdf + (size_t)m * ORL_BRICK_VERTS;
 }
 
-static float surface_value(const surface *s, const float x[3])
+float surface_value(const surface *s, const float x[3])
 {
     int b[3], skip;
     const float *v = brick_at(s, x, b, &skip);
@@ -123,11 +123,17 @@ static float surface_value(const surface *s, const float x[3])
     return brick_value(v, q);
 }
 
-/* Central difference over +-2 cells, turned towards what walls face; a neighbour that has no brick is replaced by the nearest point of the brick `own`, at b, that holds x (maybe on its border). */
-static void surface_normal(const surface *s, const float x[3], const float *own, const int b[3], float n[3])
+int32_t surface_brick(const surface *s, const float x[3], int b[3])
 {
     int skip;
-    float len = 0;
+    const float *v = brick_at(s, x, b, &skip);
+    return v ? (int32_t)((size_t)(v - s->sdf) / ORL_BRICK_VERTS) : -1;
+}
+
+/* A neighbour that has no brick is replaced by the nearest point of the brick `own`, at b, that holds x (maybe on its border). */
+static void gradient(const surface *s, const float x[3], const float *own, const int b[3], float grad[3])
+{
+    int skip;
     for (int a = 0; a < 3; a++) {
         float f[2];
         for (int k = 0; k < 2; k++) {
@@ -140,12 +146,23 @@ static void surface_normal(const surface *s, const float x[3], const float *own,
             float q[3] = { y[0] - 8.0f * use[0], y[1] - 8.0f * use[1], y[2] - 8.0f * use[2] };
             f[k] = v ? brick_value(v, q) : 0;
         }
-        n[a] = f[1] - f[0];
-        len += n[a] * n[a];
+        grad[a] = f[1] - f[0];
     }
+}
+
+void surface_gradient(const surface *s, const float x[3], const int b[3], float grad[3])
+{
+    int32_t m = s->bmap[brick_index(s, b)];
+    gradient(s, x, m < 0 ? NULL : s->sdf + (size_t)m * ORL_BRICK_VERTS, b, grad);
+}
+
+/* The gradient, made unit and turned towards what walls face. */
+static void normal_of(const surface *s, const float grad[3], float n[3])
+{
+    float len = grad[0] * grad[0] + grad[1] * grad[1] + grad[2] * grad[2];
     if (len < 1e-12f) { n[0] = n[1] = 0; n[2] = 1; return; }
     len = 1.0f / sqrtf(len);
-    for (int a = 0; a < 3; a++) n[a] *= len;
+    for (int a = 0; a < 3; a++) n[a] = grad[a] * len;
     orl_facing_turn(&s->facings, n);
 }
 
@@ -190,7 +207,8 @@ int surface_march(const surface *s, const float o[3], const float d[3], surface_
             hit->cut = entered && f < -SURFACE_CUT;
             for (int a = 0; a < 3; a++) hit->x[a] = o[a] + r * d[a];
             v = brick_at(s, hit->x, b, &skip);
-            surface_normal(s, hit->x, v, b, hit->n);
+            gradient(s, hit->x, v, b, hit->grad);
+            normal_of(s, hit->grad, hit->n);
             return 1;
         }
         if (f > 0) inside = 0;
@@ -255,8 +273,7 @@ int surface_meet(const surface *s, const float o[3], const float d[3], float opa
     if (meet_backdrop(s, o, d, opaque, t, hit)) return MET_BACKDROP;
     for (int a = 0; a < 3; a++) hit->x[a] = o[a] + t * d[a];
     hit->t = t;
-    hit->n[0] = hit->n[1] = 0;
-    hit->n[2] = 1;
+    for (int a = 0; a < 3; a++) hit->n[a] = hit->grad[a] = a == 2;
     return MET_GROUND;
 }
 
@@ -331,7 +348,8 @@ static void light_range(void *user, int begin, int end)
             x[a] = 4.0f * (float)q->x[a];
             in[a] = x[a] - 8.0f * (float)q->brick[a];
         }
-        surface_normal(s, x, v, q->brick, n);
+        gradient(s, x, v, q->brick, n);
+        normal_of(s, n, n);
         float lift = 2.0f - brick_value(v, in);
         for (int a = 0; a < 3; a++) x[a] += n[a] * fmaxf(lift, 0);
         size_t at = grid_at(&s->lite, q->x[0], q->x[1], q->x[2]);

@@ -18,7 +18,7 @@ typedef struct {
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
-typedef struct { float x[3], n[3], t; int cut; } surface_hit;       /* cut: not a surface but the solid's section, where a brick that nobody saw is missing */
+typedef struct { float x[3], n[3], grad[3], t; int cut; } surface_hit;      /* grad: the SDF's, n before it is turned and made unit. cut: not a surface but the solid's section, where a brick that nobody saw is missing */
 
 /* Collapses stage 1's levels into bricks around the zero set. */
 orl_err surface_build(const stage1 *s, surface *out);
@@ -34,10 +34,16 @@ void surface_uncover(surface *s);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
+/* SDF at x; 8 where no brick is. */
+float surface_value(const surface *s, const float x[3]);
+/* Central difference of the SDF over +-2 cells at x in, or on the border of, the brick at b. */
+void surface_gradient(const surface *s, const float x[3], const int b[3], float grad[3]);
+/* Place of the brick that holds x, and its index; < 0: there is none. */
+int32_t surface_brick(const surface *s, const float x[3], int b[3]);
 /* Does the sun in direction d reach x, with normal n, on the surface? 0 or 1. */
 int surface_sunlit(const surface *s, const float x[3], const float n[3], const float d[3]);
 /* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut, or the backdrop before that ground where it is at least so opaque (0..255).
- * Higher cuts are passed through (SCENE.md 4.7). */
+ * Higher cuts are passed through (SCENE.md 4.8). */
 enum { MET_NOTHING, MET_SURFACE, MET_GROUND, MET_BACKDROP };
 #define SURFACE_NO_BACKDROP 1e9f
 int surface_meet(const surface *s, const float o[3], const float d[3], float opaque, surface_hit *hit);

@@ -106,7 +106,7 @@ static void render_range(void *user, int begin, int end)
             memset(&s, 0, sizeof s);
             int met = surface_meet(j->s2->surf, o, d, SURFACE_NO_BACKDROP, &h);
             if (met == MET_GROUND && world_label(p, x + TRANSIENT_HALF / 2, y + TRANSIENT_HALF / 2) == WORLD_SKY) met = MET_NOTHING;
-            if (met == MET_SURFACE) stage2_surface_sample(j->s2, h.x, h.n, &s);
+            if (met == MET_SURFACE) stage2_surface_sample(j->s2, &h, &s);
             else if (met == MET_GROUND) stage2_ground_sample(j->s2, h.x, &s);
             if (met) q->t[i] = fmaxf(h.t, 1e-3f);
             if (met) s.fix = stage2_fix(j->s2, l, h.x, h.n, &s);

@@ -57,7 +57,7 @@ void world_forget(world *w);
 void world_free(world *w);
 void frame_apply(const frame *f, const double world[3], double grid[3]);
 float frame_ground_height(const frame *f, const float x[3]);
-/* Distance t > 0 along o + t d (unit) to the ground; 0: looks over the horizon. Seen from too low or from under it, the ground gives way (SCENE.md 4.7). */
+/* Distance t > 0 along o + t d (unit) to the ground; 0: looks over the horizon. Seen from too low or from under it, the ground gives way (SCENE.md 4.8). */
 int  frame_ground_hit(const frame *f, const float o[3], const float d[3], float *t);
 /* cam, centre and axes from what was given and fix. */
 void world_correct(world_photo *p);

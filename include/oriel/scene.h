@@ -10,6 +10,7 @@
 #include "oriel/backdrop.h"
 #include "oriel/facing.h"
 #include "oriel/light.h"
+#include "oriel/skin.h"
 
 enum { ORL_GROUND_SIDE = 96, ORL_CUTS = 16 };      /* CUTS: sections of the solid that a ray passes through at most */
 #define ORL_GROUND_FALL 1e-3f   /* least slope at which a ray falls on the ground */
@@ -27,7 +28,9 @@ typedef struct {
     uint32_t nbricks;
     const int32_t *bmap;            /* [nb_z][nb_y][nb_x]: >= 0 brick index; < 0: empty, -d = Chebyshev distance in bricks to the nearest brick, -127 at most */
     const int8_t *sdf;              /* [nbricks][729] */
-    const uint8_t *albedo;          /* [nbricks][729][3]: linear albedo = (v / 255)^2 */
+    uint32_t ntextures;
+    const uint32_t *skin;           /* [nbricks]: first texture << 6 | faces (oriel/skin.h), at least one; bricks take their textures in turn */
+    const uint8_t *albedo;          /* [ntextures][17 x 17][3]: linear albedo = (v / 255)^2 */
     const uint8_t *lite;            /* [nbricks][27][17]: openness (v / 255), then 16 horizon elevations (v / 255 * pi / 2) at vertices 4 cells apart; NULL: open = 1, horizon = 0 */
     const int8_t *shadow;           /* [nbricks][27][8]: phi_k = v * shadow_scale[k] at the same vertices; NULL: no shadow branch */
     float shadow_scale[ORL_SHADOW_DIM];     /* powers of two */

@@ -49,7 +49,15 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n)
         if (!orl_scene_parse(b, n, "fuzz", &s)) {       /* whatever is accepted can be walked */
             int sum = 0;
             size_t places = (size_t)s.nb[0] * s.nb[1] * s.nb[2];
-            for (size_t i = 0; i < places; i++) if (s.bmap[i] >= 0) sum += s.sdf[(size_t)s.bmap[i] * ORL_BRICK_VERTS + 728] + s.albedo[(size_t)s.bmap[i] * 2187 + 2186];
+            for (size_t i = 0; i < places; i++) {
+                if (s.bmap[i] < 0) continue;
+                uint32_t e = s.skin[s.bmap[i]];
+                int32_t end[3] = { 8 << 12, 8 << 12, 8 << 12 }, grad[3] = { e & 1, e & 2, -1 };
+                uint32_t rgb[3];
+                int face = orl_skin_face(orl_skin_mask(e), grad);
+                orl_skin_colour(s.albedo + (size_t)orl_skin_texture(e, face) * ORL_SKIN_TEXELS * 3, face, end, rgb);
+                sum += s.sdf[(size_t)s.bmap[i] * ORL_BRICK_VERTS + 728] + (int)rgb[0];
+            }
             for (uint32_t i = 0; i < s.ncodes * ORL_CODE; i++) sum += s.codes[i] > 0;
             sink = sum;
         }
