@@ -379,6 +379,8 @@ static int visit(const stage2 *s, int i, int *before)
     return s->order[turn % s->w->nphotos];
 }
 
+int stage2_visited(const stage2 *s) { return (int)fmin(s->w->nphotos, (double)s->round * visits(s)); }
+
 /* The share of thread t of this rank: visits that share.first + k * share.all is. */
 typedef struct { int first, all; } share;
 static share share_of(const stage2 *s, int t) { return (share){ ranks_mine() * s->opt.threads + t, ranks_count() * s->opt.threads }; }
@@ -616,7 +618,7 @@ static int invert(double a[ORL_CODE][ORL_CODE])
 
 void stage2_prior(stage2 *s)
 {
-    int n = (int)fmin(s->w->nphotos, (double)s->round * visits(s));      /* photos visited */
+    int n = stage2_visited(s);
     if (n < 1) return;
     static double cov[ORL_CODE][ORL_CODE], old[ORL_CODE][ORL_CODE];
     double mean[ORL_CODE] = { 0 };

@@ -57,6 +57,8 @@ void stage2_ground_sample(const stage2 *s, const float x[3], orl_sample *out);
 int stage2_traces(const stage2 *s, const orl_light *l);
 /* fix of a sample (whose own is 0) at x with normal n, by a ray to the sun; 0 where none is traced. */
 float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const float n[3], const orl_sample *o);
+/* Photos visited so far: s->order has them first. */
+int stage2_visited(const stage2 *s);
 void stage2_albedo(const stage2 *s, const float x[3], float rgb[3]);
 orl_err stage2_save(const stage2 *s, FILE *f, int moments);
 orl_err stage2_load(stage2 *s, FILE *f, int moments, const char *path);

@@ -12,6 +12,7 @@ typedef struct {
     int32_t *bmap;                  /* as orl_scene.bmap */
     float *sdf;                     /* [nbricks][729], fine cells */
     orl_facings facings;            /* towards which normals are turned */
+    orl_casters casters;            /* what hides the sun besides */
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
@@ -31,7 +32,7 @@ void surface_uncover(surface *s);
 void surface_free(surface *s);
 /* First crossing from free space into the solid along o + t d (grid frame), 0 if none. */
 int surface_march(const surface *s, const float o[3], const float d[3], surface_hit *hit);
-/* Does the sun in direction d reach x, with normal n, on the surface? 0 or 1. */
+/* Does the sun in direction d (d_z > 0) reach x, with normal n, past the surface and the casters? 0 or 1. */
 int surface_sunlit(const surface *s, const float x[3], const float n[3], const float d[3]);
 /* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut. Higher cuts are passed through (SCENE.md 4.7). */
 enum { MET_NOTHING, MET_SURFACE, MET_GROUND };

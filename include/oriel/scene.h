@@ -7,6 +7,7 @@
 #define ORIEL_SCENE_H
 #include <stddef.h>
 #include <stdint.h>
+#include "oriel/caster.h"
 #include "oriel/facing.h"
 #include "oriel/light.h"
 
@@ -33,6 +34,7 @@ typedef struct {
     float ground[3];                /* z = ground[0] + ground[1] x + ground[2] y, cells: what rays that meet no brick fall on */
     const uint8_t *ground_albedo;   /* [96][96][3], y outer: linear albedo = (v / 255)^2 over [-8 nb, 16 nb] along x and y, edges go on; NULL: no ground */
     orl_facings facings;            /* towards which normals are turned (orl_facing_turn); decoded from int16 */
+    orl_casters casters;            /* what hides the sun besides the surface */
     orl_light_model light;          /* decoded from int16 with power-of-two scales */
     uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
     const float *codes;             /* [ncodes][ORL_CODE] */
