@@ -295,7 +295,7 @@ static orl_err run_stage2(run *r)
         note(r, s->round, r->head.rounds, (log_row){ .stage = 2, .psnr = (float)(-10 * log10(l.mse + 1e-9)), .codes_rms = (float)l.adapt_rms });
         if ((e = save_sometimes(r))) return e;
     }
-    if ((e = casters_find(s, &r->surf.casters))) return e;     /* under suns that moved no more; fitting lights once again past casters did not help */
+    if (!(s->opt.without & WITHOUT_VISIBILITY) && (e = casters_find(s, &r->surf.casters))) return e;      /* under suns that moved no more; fitting lights once again past casters did not help */
     if (r->surf.casters.n) tell("casters: %d\n", r->surf.casters.n);
     stage2_prior(s);
     double began = now();

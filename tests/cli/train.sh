@@ -11,7 +11,7 @@ trap 'umount "$W/disk" 2>/dev/null; rm -rf "$W"' EXIT
 fail() { echo "train.sh: $* (SEED=$seed)"; bad=1; }
 
 # standard error without fit's progress
-quiet() { grep -vE '^\[[#.]{20}\] |^[^:]*: [0-9]+ photos, [0-9]+ points, box |^(stereo|surface): |: [0-9.]+ MB, [0-9]+ bricks, ' "$1"; }
+quiet() { grep -vE '^\[[#.]{20}\] |^[^:]*: [0-9]+ photos, [0-9]+ points, box |^(stereo|surface|base colour): |: [0-9.]+ MB, [0-9]+ bricks, ' "$1"; }
 
 # json FILE KEY...: valid JSON with these keys; a.b is b within a
 json() {
