@@ -17,8 +17,8 @@
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, CAST, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "CAST" };
+enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
@@ -27,7 +27,7 @@ typedef struct { orl_backdrop room; uint8_t rgba[ORL_BACK_ROWS][ORL_BACK_COLS][4
 typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.11] */
 typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.12] */
 typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.13] */
-_Static_assert(sizeof(orl_caster) == 28 && sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(back_bytes) == 196620 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
+_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(back_bytes) == 196620 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
 typedef struct { orl_scene_section list[MAX_SECTIONS]; int count; span known[TAGS]; } layout;
@@ -124,17 +124,15 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [BACK] = sizeof(back_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
-        if (!scene && (t <= FACE || t == CAST) && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        if (t == ALBD || t == CODE || t == FACE || t == CAST) continue;
+        if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
+        if (t == ALBD || t == CODE || t == FACE) continue;
         int required = t <= ALBD ? scene : t > FACE;
         if ((e = need(l, t, required, want[t], name))) return e;
     }
-    span base = l->known[ALBD], face = l->known[FACE], code = l->known[CODE], cast = l->known[CAST];
+    span base = l->known[ALBD], face = l->known[FACE], code = l->known[CODE];
     if (scene && !base.at) return orl_fail(ORL_E_FORMAT, "%s: section ALBD is missing", name);
     if (base.bytes % (3 * ORL_SKIN_TEXELS) || base.bytes / (3 * ORL_SKIN_TEXELS) > ORL_SKIN_MOST) return orl_fail(ORL_E_FORMAT, "%s: section ALBD: %llu bytes", name, (unsigned long long)base.bytes);
     if (face.at && (face.bytes % 6 || face.bytes == 0 || face.bytes / 6 > ORL_FACINGS)) return orl_fail(ORL_E_FORMAT, "%s: section FACE: %llu bytes", name, (unsigned long long)face.bytes);
-    if (cast.at && (cast.bytes % sizeof(orl_caster) || cast.bytes == 0 || cast.bytes / sizeof(orl_caster) > ORL_CASTERS))
-        return orl_fail(ORL_E_FORMAT, "%s: section CAST: %llu bytes", name, (unsigned long long)cast.bytes);
     uint64_t one = ORL_CODE * sizeof(float);
     if (code.at && (code.bytes % one || code.bytes == 0 || code.bytes / one > MAX_CODES))
         return orl_fail(ORL_E_FORMAT, "%s: section CODE: %llu bytes", name, (unsigned long long)code.bytes);
@@ -230,21 +228,6 @@ static orl_err validate_facings(const layout *l, orl_facings *f, const char *nam
     return ORL_OK;
 }
 
-static orl_err validate_casters(const layout *l, orl_casters *c, const char *name)
-{
-    static const char *const field[] = { "centre", "centre", "axis", "axis", "half", "half", "top" };
-    const float *q = (const float *)l->known[CAST].at;
-    c->n = (int)(l->known[CAST].bytes / sizeof *c->box);
-    for (int k = 0; k < c->n; k++, q += 7) {
-        for (int i = 0; i < 7; i++)
-            if (!within(q[i], 1e6f) || (i / 2 == 2 && !(q[i] > 0))) return orl_fail(ORL_E_RANGE, "%s: section CAST: %s of caster %d = %g", name, field[i], k, (double)q[i]);
-        float len = q[2] * q[2] + q[3] * q[3];
-        if (!(len > 0.999f && len < 1.001f)) return orl_fail(ORL_E_RANGE, "%s: section CAST: axis of caster %d is not of unit length", name, k);
-        memcpy(&c->box[k], q, sizeof *c->box);
-    }
-    return ORL_OK;
-}
-
 /* 2^e for e in EXP_MIN .. EXP_MAX */
 static float exp2i(int e) { uint32_t bits = (uint32_t)(e + 127) << 23; float f; memcpy(&f, &bits, 4); return f; }
 
@@ -287,7 +270,6 @@ static orl_err validate(const layout *l, orl_scene *s, const char *name)
 {
     orl_err e = s->bmap ? validate_head(l, s, name) : ORL_OK;
     if (!e) e = validate_facings(l, &s->facings, name);
-    if (!e) e = validate_casters(l, &s->casters, name);
     if (!e) e = validate_light(l, &s->light, name);
     for (uint32_t i = 0; !e && i < s->ncodes * ORL_CODE; i++)
         if (!within(s->codes[i], 1e6f)) e = orl_fail(ORL_E_RANGE, "%s: section CODE: code %u entry %u", name, i / ORL_CODE, i % ORL_CODE);
@@ -424,7 +406,6 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
             if (!within(v, FACE_ONE)) return orl_fail(ORL_E_RANGE, "%s: direction %d that walls face", path, k);
             face[k][a] = (int16_t)(v < 0 ? -(int)(0.5f - v) : (int)(v + 0.5f));
         }
-    if (s->casters.n < 0 || s->casters.n > ORL_CASTERS) return orl_fail(ORL_E_RANGE, "%s: %d casters", path, s->casters.n);
     char title[sizeof s->title] = { 0 };
     memcpy(title, s->title, strnlen(s->title, sizeof title - 1));
     data[META] = title;
@@ -452,8 +433,6 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
         const void *d[] = { &head, s->bmap, s->sdf, s->skin, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, back, s->facings.n ? face : NULL };
         const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, 4 * n, (uint64_t)s->ntextures * ORL_SKIN_TEXELS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, sizeof *back, (uint64_t)s->facings.n * sizeof *face };
         for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
-        data[CAST] = s->casters.n ? s->casters.box : NULL;
-        bytes[CAST] = (uint64_t)s->casters.n * sizeof *s->casters.box;
     }
     uint32_t count = 0;
     for (int t = 0; t < TAGS; t++) count += data[t] != NULL;

@@ -419,7 +419,7 @@ static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const or
     orl_hit h;
     if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !pixel_dir(v, x + 0.5, y + 0.5, d)) return 0;
     for (int a = 0; a < 3; a++) o[a] = v->eye[a] + t * d[a] + (double)(ORL_SUN_LIFT * n[a]);
-    return !orl_march(v->scene, o, sun, &h) && !orl_casters_hide(&v->scene->casters, o, sun, ORL_CASTER_FAR);
+    return !orl_march(v->scene, o, sun, &h);
 }
 
 typedef struct { orl_view *v; const orl_light *l; int y0; } trace_job;

@@ -14,7 +14,6 @@ static uint8_t *file;               /* a tiny scene as written, 64-byte aligned 
 static size_t file_n;
 
 static const orl_facings FACINGS = { 3, { { 0, 0, 1 }, { 0.6f, -0.8f, 0 }, { -0.48f, 0.6f, -0.64f } } };
-static const orl_casters CASTERS = { 2, { { { 10, -50 }, { 0.6f, 0.8f }, { 8, 3 }, 40 }, { { -90, 0 }, { 1, 0 }, { 1, 20 }, 5 } } };
 
 static uint8_t BACKDROP[ORL_BACK_TEXELS * 4], GROUND[ORL_GROUND_SIDE * ORL_GROUND_SIDE * 3];
 
@@ -37,7 +36,6 @@ static int setup(void **state)
     snprintf(path2, sizeof path2, "/tmp/orl_scene_%d_b.oriel", (int)getpid());
     synth_scene_make(&s, 2, 1, 3);
     s.facings = FACINGS;
-    s.casters = CASTERS;
     size_t n = 0;
     orl_err e = orl_scene_write(path, &s, &n);
     if (e) print_message("%s\n", orl_error_text());
@@ -128,7 +126,6 @@ static void test_round_trip(void **state)
     w.ground_albedo = GROUND;
     w.backdrop = (orl_backdrop){ { 40, 12.5f }, 9 };
     w.backdrop_rgba = BACKDROP;
-    w.casters = CASTERS;
     assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_OK);
     assert_int_equal(orl_scene_open(path2, &r), ORL_OK);
     assert_memory_equal(r.nb, w.nb, sizeof r.nb);
@@ -147,8 +144,6 @@ static void test_round_trip(void **state)
     assert_true(r.backdrop.half[0] == 40 && r.backdrop.half[1] == 12.5f && r.backdrop.height == 9);
     assert_memory_equal(r.backdrop_rgba, w.backdrop_rgba, sizeof BACKDROP);
     assert_memory_equal(r.ground_albedo, w.ground_albedo, sizeof GROUND);
-    assert_int_equal(r.casters.n, 2);
-    assert_memory_equal(r.casters.box, CASTERS.box, 2 * sizeof *CASTERS.box);
     assert_string_equal(r.title, "synthetic");
     assert_true(((uintptr_t)r.sdf & 63) == 0 && ((uintptr_t)r.codes & 63) == 0);
     float top = 0;
@@ -203,7 +198,7 @@ static void test_optional(void **state)
     assert_int_equal(orl_scene_sections(path2, list, 8, &n), ORL_E_MEMORY);
     assert_int_equal(orl_scene_open(path2, &r), ORL_OK);
     assert_null(r.lite); assert_null(r.shadow); assert_null(r.codes);
-    assert_true(r.shadow_scale[0] == 0 && r.facings.n == 0 && r.casters.n == 0);
+    assert_true(r.shadow_scale[0] == 0 && r.facings.n == 0);
     orl_scene_close(&r);
     /* a sky file: no geometry at all */
     orl_scene sky = { .light = w.light };
@@ -229,9 +224,6 @@ static void test_optional(void **state)
     w.facings.dir[1][0] = 0.1f;
     assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_RANGE);
     w.facings.n = 0;
-    w.casters.n = ORL_CASTERS + 1;
-    assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_RANGE);
-    w.casters.n = 0;
     w.light.env_mean[7][1] = NAN;
     assert_int_equal(orl_scene_write(path2, &w, NULL), ORL_E_RANGE);
     w.light.env_mean[7][1] = 0;
@@ -325,7 +317,7 @@ static void test_field_ranges(void **state)
 {
     (void)state;
     size_t head = section("HEAD"), map = section("BMAP"), skin = section("SKIN"), skyd = section("SKYD"), skyg = section("SKYG");
-    size_t prio = section("PRIO"), code = section("CODE"), face = section("FACE"), meta = section("META"), cast = section("CAST");
+    size_t prio = section("PRIO"), code = section("CODE"), face = section("FACE"), meta = section("META");
     uint32_t bricks, last;
     memcpy(&bricks, file + head + 12, 4);
     memcpy(&last, file + skin + 4 * (bricks - 1), 4);
@@ -343,7 +335,6 @@ static void test_field_ranges(void **state)
         { skyg, huge / 2, ORL_E_RANGE }, { skyg + 60, 0x10000, ORL_E_FORMAT },
         { prio, nan, ORL_E_RANGE }, { prio + 148, 0xbf800000, ORL_E_RANGE }, { prio + 152, inf, ORL_E_RANGE },
         { face, 0x12341234, ORL_E_RANGE }, { face + 4, 0, ORL_E_RANGE }, { face + 6, 0x7fff7fff, ORL_E_RANGE }, { code, inf, ORL_E_RANGE }, { code + 4, 0x7f000000, ORL_E_RANGE },
-        { cast, nan, ORL_E_RANGE }, { cast + 8, 0x3f800000, ORL_E_RANGE }, { cast + 16, 0, ORL_E_RANGE }, { cast + 20, 0xbf800000, ORL_E_RANGE }, { cast + 28 + 24, inf, ORL_E_RANGE },
         { meta, 0x0a313131, ORL_E_FORMAT }, { meta + 60, 0x61616161, ORL_E_FORMAT },
     };
     for (size_t i = 0; i < sizeof edit / sizeof *edit; i++) {

@@ -47,7 +47,7 @@ orl_err checkpoint_load_sky(world *w, FILE *f, const char *path)
     return ORL_OK;
 }
 
-#define MAGIC "ORLCKPTA"         /* a new number whenever what a checkpoint holds, or how grids lay it out, changes */
+#define MAGIC "ORLCKPTB"         /* a new number whenever what a checkpoint holds, or how grids lay it out, changes */
 
 /* CRC of header and of what follows it in f. */
 static int checksum(const checkpoint_header *h, FILE *f, uint32_t *crc)

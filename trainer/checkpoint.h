@@ -16,7 +16,7 @@ enum { LOG_ROWS = 512 };
 typedef struct { float stage, step, minutes, cpu_minutes, psnr, sky, eikonal, points, transient, codes_rms; } log_row;
 
 typedef struct {
-    char magic[8];                  /* "ORLCKPTA" */
+    char magic[8];                  /* "ORLCKPTB" */
     int phase;
     int long_side, longest, rays, steps, pixels, rounds, threads, nphotos;
     uint32_t place;                 /* checkpoint_place of the photos it was made from; 0: not recorded */

@@ -100,7 +100,6 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
     }
     memcpy(sc.ground, f->ground, sizeof sc.ground);
     sc.facings = surf->facings;
-    sc.casters = surf->casters;
     sc.ground_albedo = ground[0];
     sc.bmap = surf->bmap;
     sc.sdf = sdf;

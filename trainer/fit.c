@@ -11,7 +11,6 @@
 #include <unistd.h>
 #include "oriel/parallel.h"
 #include "oriel/sky.h"
-#include "trainer/casters.h"
 #include "trainer/checkpoint.h"
 #include "trainer/commands.h"
 #include "trainer/nerfw.h"
@@ -197,7 +196,6 @@ static orl_err resume(run *r, FILE *ck)
     if (!e) e = checkpoint_load_sky(&r->w, ck, path);
     if (!e) e = stage1_load(&r->s1, ck, 0, path);
     if (!e) e = refine_load(&r->w, ck, path);
-    if (r->o->stage2) r->surf.casters.n = 0;
     if (!e && r->o->stage2) e = surface_light(&r->surf, r->head.threads);
     if (!e && r->o->stage2) e = backdrop_find(&r->surf, &r->w, &r->s1, r->head.threads);
     if (!e) e = begin_stage2(r);
@@ -295,8 +293,6 @@ static orl_err run_stage2(run *r)
         note(r, s->round, r->head.rounds, (log_row){ .stage = 2, .psnr = (float)(-10 * log10(l.mse + 1e-9)), .codes_rms = (float)l.adapt_rms });
         if ((e = save_sometimes(r))) return e;
     }
-    if (!(s->opt.without & WITHOUT_VISIBILITY) && (e = casters_find(s, &r->surf.casters))) return e;      /* under suns that moved no more; fitting lights once again past casters did not help */
-    if (r->surf.casters.n) tell("casters: %d\n", r->surf.casters.n);
     stage2_prior(s);
     double began = now();
     if ((e = stage2_texture(s))) return e;

@@ -447,7 +447,8 @@ static int visit(const stage2 *s, int i, int *before)
     return s->order[turn % s->w->nphotos];
 }
 
-int stage2_visited(const stage2 *s) { return (int)fmin(s->w->nphotos, (double)s->round * visits(s)); }
+/* Photos visited so far: the first of the order. */
+static int visited(const stage2 *s) { return (int)fmin(s->w->nphotos, (double)s->round * visits(s)); }
 
 /* The share of thread t of this rank: visits that share.first + k * share.all is. */
 typedef struct { int first, all; } share;
@@ -796,7 +797,7 @@ static void texture_photos(void *user, int begin, int end)
         m.sum = calloc((size_t)m.nx * (size_t)m.ny, sizeof *m.sum);
         int ok = light && all && m.sum;
         if (!ok) __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED);
-        ok = ok && v < stage2_visited(s);
+        ok = ok && v < visited(s);
         if (ok) trace_sun(s, k, last, s->codes[k], light);
         ok = ok && invert3(light->tone_a, inv);
         for (uint32_t i = first; ok && i < last; i++) {
@@ -883,7 +884,7 @@ static int invert(double a[ORL_CODE][ORL_CODE])
 
 void stage2_prior(stage2 *s)
 {
-    int n = stage2_visited(s);
+    int n = visited(s);
     if (n < 1) return;
     static double cov[ORL_CODE][ORL_CODE], old[ORL_CODE][ORL_CODE];
     double mean[ORL_CODE] = { 0 };

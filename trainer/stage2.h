@@ -65,8 +65,6 @@ void stage2_backdrop_sample(const stage2 *s, const float x[3], const float n[3],
 int stage2_traces(const stage2 *s, const orl_light *l);
 /* fix of a sample (whose own is 0) at x with normal n, by a ray to the sun; 0 where none is traced. */
 float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const float n[3], const orl_sample *o);
-/* Photos visited so far: s->order has them first. */
-int stage2_visited(const stage2 *s);
 /* Base colour of a texel of the backdrop. */
 void stage2_backdrop_texel(const stage2 *s, int texel, float rgb[3]);
 /* Base colour by the grids. */

@@ -225,7 +225,7 @@ int surface_sunlit(const surface *s, const float x[3], const float n[3], const f
     float o[3];
     surface_hit h;
     for (int a = 0; a < 3; a++) o[a] = x[a] + ORL_SUN_LIFT * n[a];
-    return n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0 && !surface_march(s, o, d, &h) && !orl_casters_hide(&s->casters, (double[]){ o[0], o[1], o[2] }, (double[]){ d[0], d[1], d[2] }, ORL_CASTER_FAR);
+    return n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0 && !surface_march(s, o, d, &h);
 }
 
 static void middle_of(const surface *s, double middle[2]) { for (int a = 0; a < 2; a++) middle[a] = 0.5 * s->f.dims[a]; }
@@ -418,7 +418,7 @@ void surface_uncover(surface *s)
 
 orl_err surface_save(const surface *s, FILE *f)
 {
-    int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->facings, sizeof s->facings, 1, f) != 1 || fwrite(&s->casters, sizeof s->casters, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)
+    int bad = fwrite(&s->f, sizeof s->f, 1, f) != 1 || fwrite(&s->facings, sizeof s->facings, 1, f) != 1 || fwrite(&s->nbricks, sizeof s->nbricks, 1, f) != 1 || fwrite(s->bmap, sizeof *s->bmap, brick_count(s), f) != brick_count(s)
         || fwrite(s->sdf, ORL_BRICK_VERTS * sizeof *s->sdf, s->nbricks, f) != s->nbricks;
     bad |= fwrite(&s->back, sizeof s->back, 1, f) != 1 || (s->back.height > 0 && fwrite(s->opacity, 1, ORL_BACK_TEXELS, f) != ORL_BACK_TEXELS);
     return bad ? orl_fail(ORL_E_IO, "checkpoint: write failed") : grid_save(&s->lite, f, 0);
@@ -436,13 +436,12 @@ static orl_err load_backdrop(surface *s, FILE *f, const char *path)
 orl_err surface_load(surface *out, FILE *f, const char *path)
 {
     surface s = { 0 };
-    if (fread(&s.f, sizeof s.f, 1, f) != 1 || fread(&s.facings, sizeof s.facings, 1, f) != 1 || fread(&s.casters, sizeof s.casters, 1, f) != 1 || fread(&s.nbricks, sizeof s.nbricks, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: surface header is cut short", path);
+    if (fread(&s.f, sizeof s.f, 1, f) != 1 || fread(&s.facings, sizeof s.facings, 1, f) != 1 || fread(&s.nbricks, sizeof s.nbricks, 1, f) != 1) return orl_fail(ORL_E_FORMAT, "%s: surface header is cut short", path);
     for (int a = 0; a < 3; a++) {
         if (s.f.dims[a] < 16 || s.f.dims[a] > 4096 || s.f.dims[a] % 16) return orl_fail(ORL_E_RANGE, "%s: surface dims[%d] = %d", path, a, s.f.dims[a]);
         s.nb[a] = s.f.dims[a] / ORL_BRICK;
     }
     if (s.facings.n < 0 || s.facings.n > ORL_FACINGS) return orl_fail(ORL_E_RANGE, "%s: surface has %d facings", path, s.facings.n);
-    if (s.casters.n < 0 || s.casters.n > ORL_CASTERS) return orl_fail(ORL_E_RANGE, "%s: surface has %d casters", path, s.casters.n);
     if (s.nbricks > brick_count(&s)) return orl_fail(ORL_E_RANGE, "%s: surface has %u bricks in %zu places", path, s.nbricks, brick_count(&s));
     s.bmap = malloc(brick_count(&s) * sizeof *s.bmap);
     s.sdf = malloc(((size_t)s.nbricks + 1) * ORL_BRICK_VERTS * sizeof *s.sdf);

@@ -15,7 +15,6 @@ typedef struct {
     orl_facings facings;            /* towards which normals are turned */
     orl_backdrop back;              /* what stands beyond the box (backdrop_find) */
     uint8_t *opacity;               /* [ROWS][COLS] of the backdrop, 0..255; NULL: there is none */
-    orl_casters casters;            /* what hides the sun besides */
     grid lite;                      /* cell 4, 24 floats: openness, 16 horizon elevations (radians), unused */
 } surface;
 
@@ -41,7 +40,7 @@ float surface_value(const surface *s, const float x[3]);
 void surface_gradient(const surface *s, const float x[3], const int b[3], float grad[3]);
 /* Place of the brick that holds x, and its index; < 0: there is none. */
 int32_t surface_brick(const surface *s, const float x[3], int b[3]);
-/* Does the sun in direction d (d_z > 0) reach x, with normal n, past the surface and the casters? 0 or 1. */
+/* Does the sun in direction d reach x, with normal n, on the surface? 0 or 1. */
 int surface_sunlit(const surface *s, const float x[3], const float n[3], const float d[3]);
 /* What a pixel shows: the surface, or the ground (hit->x may lie outside the box) where the ray meets no surface or a low cut, or the backdrop before that ground where it is at least so opaque (0..255).
  * Higher cuts are passed through (SCENE.md 4.8). */

@@ -8,7 +8,6 @@
 #include <stddef.h>
 #include <stdint.h>
 #include "oriel/backdrop.h"
-#include "oriel/caster.h"
 #include "oriel/facing.h"
 #include "oriel/light.h"
 #include "oriel/skin.h"
@@ -40,7 +39,6 @@ typedef struct {
     orl_backdrop backdrop;
     const uint8_t *backdrop_rgba;   /* [ROWS][COLS][4]: linear albedo = (v / 255)^2 and opacity; NULL: no backdrop */
     orl_facings facings;            /* towards which normals are turned (orl_facing_turn); decoded from int16 */
-    orl_casters casters;            /* what hides the sun besides the surface */
     orl_light_model light;          /* decoded from int16 with power-of-two scales */
     uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
     const float *codes;             /* [ncodes][ORL_CODE] */
