@@ -9,7 +9,7 @@
 #include "oriel/math.h"
 #include "oriel/parallel.h"
 #include "runtime/commands.h"
-#include "runtime/relight.h"
+#include "oriel/relight.h"
 #include "runtime/sink.h"
 #include "runtime/widen.h"
 

@@ -1,8 +1,8 @@
-/* The sun's course over a day (runtime/relight.h), and what the air leaves of it. */
+/* The sun's course over a day (oriel/relight.h), and what the air leaves of it. */
 #include <math.h>
 #include "oriel/math.h"
 #include "oriel/sky.h"
-#include "runtime/relight.h"
+#include "oriel/relight.h"
 
 #define PI 3.14159265f
 #define DEG (PI / 180)

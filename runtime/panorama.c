@@ -1,5 +1,5 @@
-/* Panoramas to relight by (runtime/panorama.h): file -> sun, sunless map, what is seen in a direction. All measuring is done on a copy of 1024 x 512 pixels, whatever the file's size. */
-#include "runtime/panorama.h"
+/* Panoramas to relight by (oriel/panorama.h): file -> sun, sunless map, what is seen in a direction. All measuring is done on a copy of 1024 x 512 pixels, whatever the file's size. */
+#include "oriel/panorama.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

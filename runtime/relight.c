@@ -1,5 +1,5 @@
-/* Re-lighting by a panorama (runtime/relight.h): orl_relight_set -> per pixel layers -> linear picture -> display. */
-#include "runtime/relight.h"
+/* Re-lighting by a panorama (oriel/relight.h): orl_relight_set -> per pixel layers -> linear picture -> display. */
+#include "oriel/relight.h"
 #include <math.h>
 #include <string.h>
 #include "oriel/math.h"

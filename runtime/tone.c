@@ -1,9 +1,9 @@
-/* Tones to choose from (runtime/relight.h): affine maps of display colour, by name or from a file. */
+/* Tones to choose from (oriel/relight.h): affine maps of display colour, by name or from a file. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include "oriel/image.h"
-#include "runtime/relight.h"
+#include "oriel/relight.h"
 
 #define LIMIT 16.0f                     /* no photo's tone is near */
 enum { MAX_BYTES = 1 << 16 };

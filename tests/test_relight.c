@@ -3,7 +3,7 @@
 #include "tests/scratch.h"
 #include <math.h>
 #include "oriel/sink.h"
-#include "runtime/relight.h"
+#include "oriel/relight.h"
 #include "runtime/widen.h"
 #include "tests/allocations.h"
 #include "tests/synth_scene.h"

@@ -2,7 +2,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include "runtime/relight.h"
+#include "oriel/relight.h"
 #include "trainer/report.h"
 
 static const float PI = 3.14159265f;

@@ -1,9 +1,9 @@
 /* Re-lighting a view by a panorama, in float: the light of a sun's place, layers of a pixel, pictures for display, and what a user may do to them (tone, a day's course of the sun).
- * Geometry is the view's and stays; only orl_relight_set changes from frame to frame. Nothing here allocates. Same bits for any number of threads. For this program and the report. */
-#ifndef RUNTIME_RELIGHT_H
-#define RUNTIME_RELIGHT_H
+ * Geometry is the view's and stays; only orl_relight_set changes from frame to frame. Nothing here allocates. Same bits for any number of threads. */
+#ifndef ORIEL_RELIGHT_H
+#define ORIEL_RELIGHT_H
 #include "oriel/view.h"
-#include "runtime/panorama.h"
+#include "oriel/panorama.h"
 
 typedef struct {
     orl_view *view;

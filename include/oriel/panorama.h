@@ -1,7 +1,7 @@
 /* A sky to relight by: an equirectangular panorama, zenith at the top, azimuth (0.5 - u) * 360 degrees from its centre column, counter-clockwise seen from above. The sun is found and
- * cut out; the rest, eight rows of it, becomes the light model's map in the frame of any sun. Radiance and irradiance in the panorama's units. Angles in radians. For this program and the report. */
-#ifndef RUNTIME_PANORAMA_H
-#define RUNTIME_PANORAMA_H
+ * cut out; the rest, eight rows of it, becomes the light model's map in the frame of any sun. Radiance and irradiance in the panorama's units. Angles in radians. */
+#ifndef ORIEL_PANORAMA_H
+#define ORIEL_PANORAMA_H
 #include "oriel/image.h"
 #include "oriel/light.h"
 
