@@ -347,6 +347,10 @@ report() {
 report 1 16 --limit 1 --train 0
 grep -q 'id="train"' "$W/report.html" && fail "report --train 0: training photos"
 grep -q 'id="ablation"' "$W/report.html" && fail "report: ablations out of nothing"
+grep -q 'id="skies"' "$W/report.html" && fail "report: skies out of nothing"
+{ printf '#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 8 +X 8\n'; printf 'dddd%.0s' $(seq 64); } >"$W/even.hdr"
+report 1 19 --limit 1 --train 0 --sky "$W/even.hdr" --sky "$W/even.hdr"
+[ "$(count '<figcaption>even.hdr, no sun</figcaption>')" = 2 ] && grep -q 'id="skies"' "$W/report.html" || fail "report --sky: no picture under it"
 report $((1 + photos)) $((6 + 10 * (1 + photos))) --limit 1 --train 99
 awk '{ print $1 == "variant" ? $0 : NR == 4 ? "<b>&\t12.5\t.5\t.5\t12\t-\t-\t-" : $0 }' "$W/eight.tsv" >"$W/shop.tsv"
 report 4 46 --train 2 --ablation "$W/shop.tsv"
@@ -392,6 +396,8 @@ expect 2 'limit' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --l
 expect 2 'train' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --train -1
 sed 4s/12.5/12,5/ "$W/shop.tsv" >"$W/bad.tsv"
 expect 1 'bad.tsv: line 4: column 2: a number' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --ablation "$W/bad.tsv"
+expect 1 'none.hdr' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --sky "$W/none.hdr"
+expect 2 'at most 12' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" $(printf -- "--sky x%.0s " $(seq 13))
 expect 1 'none.tsv' "$T" report "$place" --scene "$W/ref.oriel" -o "$W/no.html" --ablation "$W/none.tsv"
 [ ! -e "$W/no.html" ] || fail "report: a page out of a bad table"
 
