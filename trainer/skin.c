@@ -231,79 +231,88 @@ static void coarse_range(void *user, int begin, int end)
     }
 }
 
+/* What a sample says to a brick that is `off` bricks from its own: its place there, and by how much its own texture falls short of it, with weights in displayed colours. */
+typedef struct { float in[3], grad[3], lack[3], w[3], top; int face; } word;
+
+static int hear(const fit_job *j, const skin_sample *q, uint32_t entry, const int off[3], word *out)
+{
+    float own[3], rgb[3], slope[3], err2 = 0;
+    int beyond = !(q->weight > 0);
+    out->top = 0;
+    for (int a = 0; a < 3; a++) {
+        own[a] = (float)q->at[a] * (1.0f / 4096);
+        out->in[a] = own[a] + 8.0f * (float)off[a];
+        beyond |= out->in[a] < -MARGIN || out->in[a] > 8 + MARGIN;
+        out->grad[a] = (float)q->grad[a];
+        out->top = fmaxf(out->top, fabsf(out->grad[a]));
+    }
+    if (beyond) return 0;
+    out->face = face_of(orl_skin_mask(entry), out->grad);
+    footprint p = find(out->face, own);
+    look(j->now + (size_t)orl_skin_texture(entry, out->face) * TEXELS, &p, rgb);
+    for (int c = 0; c < 3; c++) {
+        slope[c] = (float)q->slope[c] * (1.0f / 2048);
+        out->lack[c] = (float)q->rgb[c] * (1.0f / 32768) - rgb[c];
+        err2 += out->lack[c] * slope[c] * out->lack[c] * slope[c];
+    }
+    float rob = ROBUST * ROBUST / (err2 + ROBUST * ROBUST);
+    for (int c = 0; c < 3; c++) out->w[c] = (float)q->weight * (1.0f / 255) * rob * rob * slope[c] * slope[c];
+    return 1;
+}
+
+typedef struct { float sum[TEXELS][3], weight[TEXELS][3]; } gathered;
+
+/* Adds a word to the texture of face f: as find(), but beyond the border, too. */
+static void spread(const word *q, int f, gathered *to)
+{
+    float share[2][2], look_at = f == q->face ? 1 : (f & 1 ? -1 : 1) * q->grad[f >> 1] / q->top;
+    int first[2], out = look_at < LOOK_LEAST;
+    for (int d = 0; d < 2; d++) {
+        float at = q->in[((f >> 1) + 1 + d) % 3] * ORL_SKIN_PER_CELL, low = floorf(at);
+        first[d] = (int)low;
+        share[d][1] = at - low;
+        share[d][0] = 1 - share[d][1];
+        out |= first[d] < -1 || first[d] >= SIDE;
+    }
+    if (out) return;
+    look_at *= look_at;
+    for (int n = 0; n < 4; n++) {
+        int u = first[0] + (n & 1), v = first[1] + (n >> 1);
+        if (u < 0 || v < 0 || u >= SIDE || v >= SIDE) continue;
+        float s = share[0][n & 1] * share[1][n >> 1] * look_at;
+        for (int c = 0; c < 3; c++) {
+            to->sum[v * SIDE + u][c] += s * q->w[c] * q->lack[c];
+            to->weight[v * SIDE + u][c] += s * q->w[c];
+        }
+    }
+}
+
 /* New texels of brick i from its own and its neighbours' samples. */
 static void gather(const fit_job *j, int i)
 {
     const surface *surf = j->surf;
-    static _Thread_local float sum[ORL_SKIN_FACES][TEXELS][3], weight[ORL_SKIN_FACES][TEXELS][3];
+    static _Thread_local gathered of[ORL_SKIN_FACES];       /* in the order of the brick's textures */
     uint32_t e = j->s->index[i];
     int b[3];
     place_of(surf, j->place[i], b);
-    memset(sum, 0, sizeof sum);
-    memset(weight, 0, sizeof weight);
+    memset(of, 0, sizeof of);
     for (int k = 0; k < AROUND; k++) {
         int off[3] = { k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1 }, there = 1;
         for (int a = 0; a < 3; a++) there &= b[a] + off[a] >= 0 && b[a] + off[a] < surf->nb[a];
         if (!there) continue;
         int32_t m = surf->bmap[((size_t)(b[2] + off[2]) * (size_t)surf->nb[1] + (size_t)(b[1] + off[1])) * (size_t)surf->nb[0] + (size_t)(b[0] + off[0])];
         if (m < 0) continue;
-        uint32_t other = j->s->index[m];
         for (const skin_sample *q = j->sample + j->begin[m]; q < j->sample + j->begin[m + 1]; q++) {
-            float in[3], own[3], grad[3], top = 0, rgb[3], lack[3], slope[3], w[3], err2 = 0;
-            int beyond = !(q->weight > 0);
-            for (int a = 0; a < 3; a++) {
-                own[a] = (float)q->at[a] * (1.0f / 4096);
-                in[a] = own[a] + 8.0f * (float)off[a];
-                beyond |= in[a] < -MARGIN || in[a] > 8 + MARGIN;
-                grad[a] = (float)q->grad[a];
-                top = fmaxf(top, fabsf(grad[a]));
-            }
-            if (beyond) continue;
-            int face = face_of(orl_skin_mask(other), grad);
-            footprint p = find(face, own);
-            look(j->now + (size_t)orl_skin_texture(other, face) * TEXELS, &p, rgb);
-            for (int c = 0; c < 3; c++) {
-                slope[c] = (float)q->slope[c] * (1.0f / 2048);
-                lack[c] = (float)q->rgb[c] * (1.0f / 32768) - rgb[c];
-                err2 += lack[c] * slope[c] * lack[c] * slope[c];
-            }
-            float rob = ROBUST * ROBUST / (err2 + ROBUST * ROBUST);
-            for (int c = 0; c < 3; c++) w[c] = (float)q->weight * (1.0f / 255) * rob * rob * slope[c] * slope[c];
-            for (int f = 0, t = -1; f < ORL_SKIN_FACES; f++) {
-                if (!(e >> f & 1)) continue;
-                t++;
-                float look_at = (f & 1 ? -1 : 1) * grad[f >> 1] / top;
-                if (f == face) look_at = 1;
-                if (look_at < LOOK_LEAST) continue;
-                look_at *= look_at;
-                float at[2], share[2][2];
-                int first[2], out = 0;
-                for (int d = 0; d < 2; d++) {           /* as find(), but beyond the border, too */
-                    at[d] = in[((f >> 1) + 1 + d) % 3] * ORL_SKIN_PER_CELL;
-                    float low = floorf(at[d]);
-                    first[d] = (int)low;
-                    share[d][1] = at[d] - low;
-                    share[d][0] = 1 - share[d][1];
-                    out |= first[d] < -1 || first[d] >= SIDE;
-                }
-                if (out) continue;
-                for (int n = 0; n < 4; n++) {
-                    int u = first[0] + (n & 1), v = first[1] + (n >> 1);
-                    if (u < 0 || v < 0 || u >= SIDE || v >= SIDE) continue;
-                    float s = share[0][n & 1] * share[1][n >> 1] * look_at;
-                    for (int c = 0; c < 3; c++) {
-                        sum[t][v * SIDE + u][c] += s * w[c] * lack[c];
-                        weight[t][v * SIDE + u][c] += s * w[c];
-                    }
-                }
-            }
+            word said;
+            if (!hear(j, q, j->s->index[m], off, &said)) continue;
+            for (int f = 0, t = 0; f < ORL_SKIN_FACES; f++) if (e >> f & 1) spread(&said, f, &of[t++]);
         }
     }
     for (int t = 0, n = __builtin_popcount(orl_skin_mask(e)); t < n; t++)
         for (int k = 0; k < TEXELS; k++) {
             size_t at = ((size_t)orl_skin_first(e) + (size_t)t) * TEXELS + (size_t)k;
             for (int c = 0; c < 3; c++) {
-                float now = j->now[at][c], v = now + (sum[t][k][c] + PRIOR * (j->coarse[at][c] - now)) / (weight[t][k][c] + PRIOR);
+                float now = j->now[at][c], v = now + (of[t].sum[k][c] + PRIOR * (j->coarse[at][c] - now)) / (of[t].weight[k][c] + PRIOR);
                 j->s->texel[at][c] = fminf(fmaxf(v, 0), 1);
             }
         }
