@@ -12,10 +12,11 @@ static const char *base_name(const char *path) { const char *slash = strrchr(pat
 
 static orl_err add_sky(page *p, orl_view *v, float heading, const char *path, float *linear, float *scratch, orl_image *out)
 {
-    static const orl_tone NEUTRAL = { { { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } }, { 0, 0, 0 } };
+    orl_tone neutral;
     orl_panorama *sky = calloc(1, sizeof *sky);
     orl_relight *r = calloc(1, sizeof *r);
     orl_err e = sky && r ? orl_panorama_open(path, sky) : orl_fail(ORL_E_MEMORY, "report: no memory for a sky");
+    if (!e) e = orl_tone_find("neutral", &neutral);
     if (!e) {
         char caption[300];
         sky->turn = heading + BESIDE - (sky->has_sun ? sky->az : 0);
@@ -24,7 +25,7 @@ static orl_err add_sky(page *p, orl_view *v, float heading, const char *path, fl
         orl_relight_trace(r, p->o->threads);
         orl_relight_linear(r, p->o->threads, linear);
         float bright = orl_relight_bright(r, linear, scratch);
-        orl_relight_display(r, p->o->threads, linear, bright > 0 ? 0.8f / bright : 1, &NEUTRAL, out->px);
+        orl_relight_display(r, p->o->threads, linear, bright > 0 ? 0.8f / bright : 1, &neutral, out->px);
         if (sky->has_sun) snprintf(caption, sizeof caption, "%.200s, sun %.0f degrees high", base_name(path), (double)(sun.el * 180 / PI));
         else snprintf(caption, sizeof caption, "%.200s, no sun", base_name(path));
         e = report_picture(p, out, REPORT_LARGE, "under", caption);
