@@ -7,7 +7,7 @@
 #include <string.h>
 #include <cmocka.h>
 #include "tests/wall_world.h"
-#include "trainer/stage2.h"
+#include "trainer/texture.h"
 
 /* Level ground in front of the camera instead of the photos' pixels: grey to the left; a stain to the right, that `few` photos see. */
 static void lay_ground(stage2 *s, int few)

@@ -17,6 +17,7 @@
 #include "trainer/ranks.h"
 #include "trainer/backdrop.h"
 #include "trainer/refine.h"
+#include "trainer/texture.h"
 
 typedef struct { const char *name; int long_side, longest, rays, steps, pixels, rounds; } preset;
 static const preset PRESETS[] = {

@@ -8,14 +8,13 @@
 #include "oriel/parallel.h"
 #include "trainer/order.h"
 #include "trainer/ranks.h"
+#include "trainer/texture.h"
 
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 }, BACKDROP_CELL[BACKDROP_LEVELS] = { 1, 4, 16 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
 static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 0.6f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f }, BACKDROP_PLAIN[BACKDROP_LEVELS] = { 0.2f, 0.05f, 0 };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, TRACE_EVERY = 4, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
-enum { DETAIL = 2, NODE = 16 }; /* base colour's textures: times the rounds' pixels that they are found from; pixels from node to node of a photo's misfit */
-#define NO_PLACE UINT32_MAX
-#define SHADE_LEAST 1e-3f       /* light, over pi, under which a pixel tells no base colour */
+enum { DETAIL = 2 };            /* base colour's textures: times the rounds' pixels that they are found from */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */
 enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
 #define LEAST_OPAQUE 32.0f      /* of the backdrop, 0..255: what is learned of it */
@@ -101,7 +100,8 @@ static void ground_plan(const stage2 *s, const float x[3], float y[3])
 }
 
 /* Base colour out of nested grids, and where it came from. excess: before the clamp minus after. */
-enum { MOST_LEVELS = 3 };
+enum { MOST_LEVELS = ALBEDO_LEVELS };
+_Static_assert((int)GROUND_LEVELS <= (int)MOST_LEVELS && (int)BACKDROP_LEVELS <= (int)MOST_LEVELS, "room for all colours' levels");
 typedef struct { grid_cell at[MOST_LEVELS]; v4 level[MOST_LEVELS]; float excess[3]; } colour_cells;
 typedef struct { colour_cells a; grid_cell s; } cells;
 
@@ -431,6 +431,14 @@ static void make_sample(const stage2 *s, const stage2_pixel *q, orl_sample *o, c
     o->cov = 1;
 }
 
+void stage2_sample(const stage2 *s, const stage2_pixel *q, orl_sample *out)
+{
+    cells c;
+    make_sample(s, q, out, &c);
+}
+
+float stage2_says(const stage2 *s, const stage2_pixel *q) { return q->few ? 0 : is_ground(s, q) ? ALBEDO_PLAIN[0] / FLOOR_PLAIN[0] : 1; }
+
 /* The pixels of photo k that rounds take: [begin[k], rounds_end(k)). */
 static uint32_t rounds_end(const stage2 *s, int k)
 {
@@ -447,8 +455,7 @@ static int visit(const stage2 *s, int i, int *before)
     return s->order[turn % s->w->nphotos];
 }
 
-/* Photos visited so far: the first of the order. */
-static int visited(const stage2 *s) { return (int)fmin(s->w->nphotos, (double)s->round * visits(s)); }
+int stage2_visited(const stage2 *s) { return (int)fmin(s->w->nphotos, (double)s->round * visits(s)); }
 
 /* The share of thread t of this rank: visits that share.first + k * share.all is. */
 typedef struct { int first, all; } share;
@@ -461,8 +468,7 @@ float stage2_fix(const stage2 *s, const orl_light *l, const float x[3], const fl
     return stage2_traces(s, l) ? (float)surface_sunlit(s->surf, x, n, l->sun_dir) - orl_light_sun_visibility(l, o) : 0;
 }
 
-/* Does the sun of a code reach the photo's pixels, up to `end`? Kept as what the horizons miss. */
-static void trace_sun(stage2 *s, int k, uint32_t end, const float code[ORL_CODE], orl_light *light)
+void stage2_trace_sun(stage2 *s, int k, uint32_t end, const float code[ORL_CODE], orl_light *light)
 {
     orl_light_decode(&s->light, code, light);
     for (uint32_t i = s->begin[k]; i < end; i++) {
@@ -512,7 +518,7 @@ static void code_photos(void *user, int begin, int end)
             if (!sound) continue;
             memcpy(o->code, res.code, sizeof res.code);
             o->rms = res.rms;
-            if (cold || s->round % TRACE_EVERY == 0 || s->w->nphotos > STAGE2_VISITS) trace_sun(s, k, rounds_end(s, k), o->code, light);
+            if (cold || s->round % TRACE_EVERY == 0 || s->w->nphotos > STAGE2_VISITS) stage2_trace_sun(s, k, rounds_end(s, k), o->code, light);
         }
         free(work);
         free(smp);
@@ -523,15 +529,13 @@ static void code_photos(void *user, int begin, int end)
 typedef struct { float shared[SHARED]; double mse, weight; } grad_sum;
 typedef struct { stage2 *s; int step; grad_sum *sum; orl_light *lights; } grad_job;     /* sum: of each thread of each rank; lights: of each visit */
 
-/* Weight of a squared error. */
-static float robust(float err2)
+float stage2_robust(float err2)
 {
     float r = 0.15f * 0.15f / (err2 + 0.15f * 0.15f);
     return r * r;
 }
 
-/* Gradient of the robust loss by the shaded colour, and the squared error before it is made robust. */
-static float residual(const orl_light *light, const stage2_pixel *q, const orl_sample *o, float d[3])
+float stage2_residual(const orl_light *light, const stage2_pixel *q, const orl_sample *o, float d[3])
 {
     float rgb[3], err2 = 0;
     orl_light_shade(light, o, rgb);
@@ -540,7 +544,7 @@ static float residual(const orl_light *light, const stage2_pixel *q, const orl_s
         if (q->rgb[a] >= 250 && d[a] > 0) d[a] = 0;     /* saturated: brighter is as good */
         err2 += d[a] * d[a];
     }
-    float scale = 2 * o->weight * robust(err2);
+    float scale = 2 * o->weight * stage2_robust(err2);
     for (int a = 0; a < 3; a++) d[a] *= scale;
     return err2;
 }
@@ -562,7 +566,7 @@ static void grad_photos(void *user, int begin, int end)
                 cells c;
                 const stage2_pixel *q = &s->px[s->begin[k] + i];
                 make_sample(s, q, &o, &c);
-                float d[3], d_albedo[3] = { 0 }, d_phi[ORL_SHADOW_DIM] = { 0 }, err2 = residual(light, q, &o, d);
+                float d[3], d_albedo[3] = { 0 }, d_phi[ORL_SHADOW_DIM] = { 0 }, err2 = stage2_residual(light, q, &o, d);
                 sum->mse += o.weight * err2 / 3;
                 sum->weight += o.weight;
                 orl_light_shade_back(&s->light, light, &o, d, q->surface ? d_albedo : NULL, q->surface ? d_phi : NULL, q->surface ? d_ground : NULL, q->surface ? NULL : d_sky);
@@ -585,7 +589,7 @@ static void grad_photos(void *user, int begin, int end)
                     orl_sample on = o;
                     float d_on[3] = { 0 };
                     ground_colour(s, q->x, on.albedo, &g);
-                    residual(light, q, &on, d);
+                    stage2_residual(light, q, &on, d);
                     orl_light_shade_back(&s->light, light, &on, d, d_on, NULL, NULL, NULL);
                     for (int a = 0; a < 3; a++) d_on[a] += pull * (on.albedo[a] - s->common[a]);
                     colour_back(s->ground, GROUND_LEVELS, t, &g, d_on, GROUND_PLAIN);
@@ -667,191 +671,6 @@ void stage2_round(stage2 *s, stage2_losses *out)
     s->round++;
 }
 
-/* ---- base colour in textures: the rounds' grids are coarse and see few of the photos' pixels. With codes known, each pixel gives its base colour in closed form (skin.h has the rest). What a photo is off by over
- * many pixels is light or tone that its codes miss; it is taken away, so that photos agree where their pixels interleave. */
-
-typedef struct {
-    stage2 *s;
-    uint32_t *place;                /* of each pixel: first its brick, then its place among the samples; NO_PLACE: not on the surface */
-    skin_sample *sample;
-    int failed;
-} texture_job;
-
-static void brick_range(void *user, int begin, int end)
-{
-    texture_job *j = user;
-    for (int i = begin; i < end; i++) {
-        const stage2_pixel *q = &j->s->px[i];
-        int b[3];
-        j->place[i] = q->surface == MET_SURFACE ? (uint32_t)surface_brick(j->s->surf, q->x, b) : NO_PLACE;
-    }
-}
-
-/* A pixel before its photo's tone: displayed colour seen and modelled, base colour by the grids, and light (linear = base colour x light). Weight 0: says nothing. */
-typedef struct { float seen[3], model[3], base[3], light[3], weight; } untoned;
-
-static void untone(const stage2 *s, const orl_light *light, const float inv[9], const stage2_pixel *q, untoned *p)
-{
-    orl_sample o;
-    cells c;
-    float e[3], d[3], rgb[3];
-    make_sample(s, q, &o, &c);
-    float err2 = residual(light, q, &o, d);
-    orl_light_shade(light, &o, rgb);
-    orl_light_irradiance(light, &o, e);
-    p->weight = q->few ? 0 : o.weight * robust(err2) * (is_ground(s, q) ? ALBEDO_PLAIN[0] / FLOOR_PLAIN[0] : 1);
-    for (int a = 0; a < 3; a++) {
-        if (q->rgb[a] >= 250 && rgb[a] > o.rgb[a]) p->weight = 0;      /* saturated: brighter is as good */
-        p->seen[a] = 0;
-        for (int b = 0; b < 3; b++) p->seen[a] += inv[3 * a + b] * (o.rgb[b] - light->tone_b[b]);
-        p->base[a] = o.albedo[a];
-        p->light[a] = e[a] * 0.318309886f;
-        p->model[a] = orl_light_encode(p->base[a] * p->light[a]);
-        if (!(p->light[a] > SHADE_LEAST)) p->weight = 0;
-    }
-}
-
-/* Inverse of a tone's matrix; 0: close to singular. */
-static int invert3(const float m[3][3], float out[9])
-{
-    float det = 0;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) {
-            int i1 = (i + 1) % 3, i2 = (i + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
-            out[3 * k + i] = m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
-        }
-    for (int k = 0; k < 3; k++) det += m[0][k] * out[3 * k];
-    if (!(fabsf(det) > 0.02f)) return 0;
-    for (int i = 0; i < 9; i++) out[i] /= det;
-    return 1;
-}
-
-/* What a photo's pixels have over the model at large: a field on nodes NODE pixels apart, bilinear. That is light and tone that the codes miss, and no base colour's detail. */
-typedef struct { int nx, ny; float (*sum)[4]; } misfit;          /* sum: weighted, and the weights */
-typedef struct { int first; float w[4]; } misfit_place;
-
-static misfit_place misfit_at(const misfit *m, const double uv[2])
-{
-    float at[2];
-    int first[2];
-    for (int a = 0; a < 2; a++) {
-        float t = fminf(fmaxf((float)uv[a] / NODE, 0), (float)((a ? m->ny : m->nx) - 2) + 0.999f);
-        first[a] = (int)t;
-        at[a] = t - (float)first[a];
-    }
-    misfit_place p = { first[1] * m->nx + first[0], { 0 } };
-    for (int k = 0; k < 4; k++) p.w[k] = (k & 1 ? at[0] : 1 - at[0]) * (k & 2 ? at[1] : 1 - at[1]);
-    return p;
-}
-
-static void misfit_add(const misfit *m, const double uv[2], const untoned *p)
-{
-    misfit_place at = misfit_at(m, uv);
-    for (int k = 0; k < 4; k++) {
-        float *g = m->sum[at.first + (k & 1) + (k >> 1) * m->nx], w = at.w[k] * p->weight;
-        for (int c = 0; c < 3; c++) g[c] += w * (p->seen[c] - p->model[c]);
-        g[3] += w;
-    }
-}
-
-static void misfit_look(const misfit *m, const double uv[2], float off[3])
-{
-    misfit_place at = misfit_at(m, uv);
-    float all = 0;
-    off[0] = off[1] = off[2] = 0;
-    for (int k = 0; k < 4; k++) {
-        const float *g = m->sum[at.first + (k & 1) + (k >> 1) * m->nx];
-        if (!(g[3] > 0)) continue;
-        for (int c = 0; c < 3; c++) off[c] += at.w[k] * g[c] / g[3];
-        all += at.w[k];
-    }
-    for (int c = 0; c < 3; c++) off[c] = all > 0 ? off[c] / all : 0;
-}
-
-static void sample_of(const stage2 *s, const stage2_pixel *q, const untoned *p, const float off[3], skin_sample *out)
-{
-    int b[3];
-    float grad[3], rgb[3], slope[3];
-    if (surface_brick(s->surf, q->x, b) < 0) return;
-    surface_gradient(s->surf, q->x, b, grad);
-    for (int c = 0; c < 3; c++) {
-        rgb[c] = orl_light_decode_srgb(p->seen[c] - off[c]) / p->light[c];
-        slope[c] = (orl_light_encode(p->base[c] * 1.1f * p->light[c]) - p->model[c]) / (0.1f * p->base[c]);
-    }
-    skin_say(out, b, q->x, grad, rgb, slope, p->weight);
-}
-
-static void texture_photos(void *user, int begin, int end)
-{
-    texture_job *j = user;
-    stage2 *s = j->s;
-    for (int v = begin; v < end; v++) {
-        int k = s->order[v];
-        const world_photo *p = &s->w->photos[k];
-        uint32_t first = s->begin[k], last = s->begin[k + 1];
-        float inv[9];
-        double uv[2];
-        misfit m = { p->w / NODE + 2, p->h / NODE + 2, NULL };
-        orl_light *light = malloc(sizeof *light);
-        untoned *all = malloc(((size_t)(last - first) + 1) * sizeof *all);
-        m.sum = calloc((size_t)m.nx * (size_t)m.ny, sizeof *m.sum);
-        int ok = light && all && m.sum;
-        if (!ok) __atomic_store_n(&j->failed, 1, __ATOMIC_RELAXED);
-        ok = ok && v < visited(s);
-        if (ok) trace_sun(s, k, last, s->codes[k], light);
-        ok = ok && invert3(light->tone_a, inv);
-        for (uint32_t i = first; ok && i < last; i++) {
-            untoned *u = &all[i - first];
-            if (j->place[i] == NO_PLACE) continue;
-            untone(s, light, inv, &s->px[i], u);
-            if (!world_project(p, s->px[i].x, uv, NULL)) u->weight = 0;
-            if (u->weight > 0) misfit_add(&m, uv, u);
-        }
-        for (uint32_t i = first; i < last; i++) {
-            const untoned *u = &all[i - first];
-            float off[3];
-            if (j->place[i] == NO_PLACE) continue;
-            skin_sample *out = &j->sample[j->place[i]];
-            memset(out, 0, sizeof *out);
-            if (!ok || !(u->weight > 0) || !world_project(p, s->px[i].x, uv, NULL)) continue;
-            misfit_look(&m, uv, off);
-            sample_of(s, &s->px[i], u, off, out);
-        }
-        free(light);
-        free(all);
-        free(m.sum);
-    }
-}
-
-static void coarse_colour(const void *user, const float x[3], float rgb[3]) { stage2_albedo(user, x, rgb); }
-
-orl_err stage2_texture(stage2 *s)
-{
-    size_t n = s->begin[s->w->nphotos], bricks = s->surf->nbricks;
-    for (int l = 0; l < ALBEDO_LEVELS; l++) grid_freeze(&s->albedo[l]);
-    for (int l = 0; l < GROUND_LEVELS; l++) grid_freeze(&s->ground[l]);
-    for (int l = 0; l < BACKDROP_LEVELS; l++) grid_freeze(&s->backdrop[l]);
-    grid_freeze(&s->shadow);
-    uint32_t *place = malloc((n + 1) * sizeof *place), *first = calloc(bricks + 2, sizeof *first);
-    skin_sample *sample = NULL;
-    orl_err e = skin_init(&s->skin, s->surf, s->opt.threads);
-    if (!e && (!place || !first)) e = orl_fail(ORL_E_MEMORY, "base colour: no memory for %zu pixels", n);
-    if (!e) {
-        texture_job j = { s, place, NULL, 0 };
-        orl_parallel(s->opt.threads, (int)n, 4096, brick_range, &j);
-        for (size_t i = 0; i < n; i++) if (place[i] != NO_PLACE) first[place[i] + 2]++;
-        for (size_t i = 2; i < bricks + 2; i++) first[i] += first[i - 1];
-        for (size_t i = 0; i < n; i++) if (place[i] != NO_PLACE) place[i] = first[place[i] + 1]++;         /* the pixels of brick i are then [first[i], first[i + 1]) */
-        j.sample = sample = malloc(((size_t)first[bricks] + 1) * sizeof *sample);
-        if (sample) orl_parallel(s->opt.threads, s->w->nphotos, 1, texture_photos, &j);
-        e = !sample || j.failed ? orl_fail(ORL_E_MEMORY, "base colour: no memory for samples") : skin_fit(&s->skin, s->surf, sample, first, coarse_colour, s, s->opt.threads);
-    }
-    free(place);
-    free(first);
-    free(sample);
-    return e;
-}
-
 /* Symmetric positive definite inverse by Cholesky, in place; 0 if singular. */
 static int invert(double a[ORL_CODE][ORL_CODE])
 {
@@ -884,7 +703,7 @@ static int invert(double a[ORL_CODE][ORL_CODE])
 
 void stage2_prior(stage2 *s)
 {
-    int n = visited(s);
+    int n = stage2_visited(s);
     if (n < 1) return;
     static double cov[ORL_CODE][ORL_CODE], old[ORL_CODE][ORL_CODE];
     double mean[ORL_CODE] = { 0 };

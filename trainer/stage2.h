@@ -53,8 +53,6 @@ void stage2_free(stage2 *s);
 void stage2_round(stage2 *s, stage2_losses *out);
 /* Gaussian prior from the training codes, shrunk towards the decoder's. */
 void stage2_prior(stage2 *s);
-/* After the last round: base colour in textures, from all pixels. */
-orl_err stage2_texture(stage2 *s);
 /* Fills albedo, normal, phi, open, horizon of a surface sample. */
 void stage2_surface_sample(const stage2 *s, const surface_hit *h, orl_sample *out);
 /* The same for the ground beyond the surface: open, no horizon, no shadow features. */
