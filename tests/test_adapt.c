@@ -201,6 +201,61 @@ static void photos_that_say_little(void **state)
     assert_int_equal(orl_adapt(&model, samples, COUNT, NULL, &o, work, orl_adapt_need(), &r), ORL_E_RANGE);
 }
 
+/* All in shade: the sun's place is known less well, and that is said; what the photo shows is explained. Black and white: what is not seen turns grey, too. One burnt-out colour: the rest is explained. */
+static void photos_that_mislead(void **state)
+{
+    (void)state;
+    orl_adapt_result r;
+    float code[ORL_CODE];
+    for (int t = 0; t < 4; t++) {
+        make_place(0.2);
+        make_code(code);
+        make_photo(code, 0, 0.01f);
+        adapt(NULL, NULL, &r);
+        float lit = r.std[ORL_C_SUN_AZ];
+        for (int i = 0; i < COUNT; i++) for (int k = 0; k < ORL_HORIZON; k++) samples[i].horizon[k] = 1.5707963f;
+        make_photo(code, 0, 0.01f);
+        adapt(NULL, NULL, &r);
+        all_finite(&r);
+        print_message("shade: rms %.4f, azimuth +- %.2f radians (in the sun %.3f)\n", error_of(r.code), r.std[ORL_C_SUN_AZ], lit);
+        assert_true(error_of(r.code) < 0.01 && r.std[ORL_C_SUN_AZ] > 2 * lit);       /* the sky's glow still tells a little */
+
+        make_place(0.2);
+        make_photo(code, 0, 0.01f);
+        for (int i = 0; i < COUNT; i++) {
+            float *p = samples[i].rgb, grey = 0.299f * p[0] + 0.587f * p[1] + 0.114f * p[2];
+            p[0] = p[1] = p[2] = grey;
+        }
+        adapt(NULL, NULL, &r);
+        all_finite(&r);
+        double colour = 0, off = 0, was = 0;
+        orl_light_decode(&model, r.code, &light);
+        for (int i = 0; i < COUNT; i++) {
+            float rgb[3];
+            orl_light_shade(&light, &samples[i], rgb);
+            colour += fmaxf(fmaxf(rgb[0], rgb[1]), rgb[2]) - fminf(fminf(rgb[0], rgb[1]), rgb[2]);
+            was += fmaxf(fmaxf(truth[i][0], truth[i][1]), truth[i][2]) - fminf(fminf(truth[i][0], truth[i][1]), truth[i][2]);
+            off += fabsf(rgb[1] - samples[i].rgb[1]);
+        }
+        print_message("black and white: off by %.4f, colour %.4f (was %.4f)\n", off / COUNT, colour / COUNT, was / COUNT);
+        assert_true(off / COUNT < 0.02 && colour < 0.15 * was);
+
+        make_photo(code, 0, 0.01f);
+        for (int i = 0; i < COUNT; i++) samples[i].rgb[0] = 1;
+        adapt(NULL, NULL, &r);
+        all_finite(&r);
+        off = 0;
+        orl_light_decode(&model, r.code, &light);
+        for (int i = 0; i < COUNT; i++) {
+            float rgb[3];
+            orl_light_shade(&light, &samples[i], rgb);
+            for (int c = 1; c < 3; c++) off += fabsf(fminf(rgb[c], 1) - samples[i].rgb[c]) / 2;
+        }
+        print_message("burnt-out red: green and blue off by %.4f\n", off / COUNT);
+        assert_true(off / COUNT < 0.015);
+    }
+}
+
 static void hostile_start(void **state)
 {
     (void)state;
@@ -264,7 +319,7 @@ static void unseen_sky_is_as_elsewhere(void **state)
 int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
-    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(hostile_start),
+    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(hostile_start),
                                         cmocka_unit_test(unseen_sky_is_as_elsewhere) };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -35,6 +35,17 @@ static uint32_t stride(uint32_t n)
     }
 }
 
+/* Of a black or a burnt-out photo adaptation learns no light (adapt.c), so base colour must not learn from it. */
+static int says_something(const stage2_pixel *q, uint32_t n)
+{
+    uint32_t good = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        const uint8_t *c = q[i].rgb;
+        good += !(c[0] < 3 && c[1] < 3 && c[2] < 3) && !(c[0] >= 250 && c[1] >= 250 && c[2] >= 250);
+    }
+    return good > n / 200;
+}
+
 static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, uint32_t *count)
 {
     const world_photo *p = &s->w->photos[k];
@@ -89,7 +100,7 @@ static void fill_pixels(stage2 *s, const stage1 *s1, int k, stage2_pixel *out, u
         for (int a = 0; a < ORL_HORIZON; a++) q->horizon[a] = (uint8_t)(fminf(f[1 + a] * (1 / 1.5707963f), 1) * 255.0f + 0.5f);
         n++;
     }
-    *count = n;
+    *count = says_something(out, n) ? n : 0;
 }
 
 /* Place on the ground's plan. */
