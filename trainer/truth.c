@@ -7,11 +7,11 @@
 #include <string.h>
 #include <unistd.h>
 #include "oriel/cpu.h"
+#include "oriel/relight.h"
 #include "oriel/skymask.h"
 #include "trainer/checkpoint.h"
 #include "trainer/order.h"
 #include "trainer/predict.h"
-#include "trainer/sky.h"
 #include "trainer/transient.h"
 
 enum { MOST_SUNS = 1024 };
@@ -372,61 +372,37 @@ static double relit_score(const float *ours, const float *truth, const float *de
     return -10 * log10(fmax(err / (3 * (double)seen), 1e-9));
 }
 
-/* Light of a panorama in the world's frame (its centre column looks along +x), brought to the scene's. */
-static orl_err panorama_light(const orl_scene *s, const double R[9], const char *path, orl_light *out)
+/* What `oriel relight` shows of our scene's view, sky included, and the true base colour under the same light without any shadow; linear. */
+static void relit_pictures(const orl_relight *r, const double R[9], const orl_imagef *albedo, const orl_imagef *normal, int threads, float *ours, float *plain)
 {
-    orl_sky sky;
-    double azimuth, sun[3];
-    float env[ORL_ENV][3], code[ORL_CODE];
-    orl_err e = sky_from_panorama(path, &sky, &azimuth);
-    if (e) return e;
-    for (int w = 0; w < ORL_ENV; w++) for (int c = 0; c < 3; c++) env[w][c] = expf(sky.log_env[w][c]);
-    double world[3] = { cos(azimuth) * cos(sky.sun_el), sin(azimuth) * cos(sky.sun_el), sin(sky.sun_el) };
-    to_scene(R, world, sun);
-    memcpy(code, s->light.prior_mean, sizeof code);     /* as `oriel relight` */
-    memset(code + ORL_C_TONE, 0, ORL_TONE_DIM * sizeof *code);
-    code[ORL_C_SUN_AZ] = (float)atan2(sun[1], sun[0]);
-    code[ORL_C_SUN_EL] = (float)asin(fmin(fmax(sun[2], -1), 1));
-    memcpy(code + ORL_C_SUN_RGB, sky.ln_sun, sizeof sky.ln_sun);
-    orl_light_from_env(&s->light, (const float (*)[3])env, code, out);
-    return ORL_OK;
-}
-
-/* Our scene's view under a light, and the true base colour under the same light without any shadow; linear. */
-static void relit_pictures(const orl_view *v, const orl_light *light, const double R[9], const orl_imagef *albedo, const orl_imagef *normal, float *ours, float *plain)
-{
-    for (size_t i = 0; i < (size_t)v->w * (size_t)v->h; i++) {
+    orl_relight_linear(r, threads, ours);
+    for (size_t i = 0; i < (size_t)r->view->w * (size_t)r->view->h; i++) {
         const float *n = normal->px + 3 * i;
-        orl_sample q;
         double turned[3];
-        float shown[3], sky[3], facing = 0;
-        orl_view_sample(v, (int)(i % (size_t)v->w), (int)(i / (size_t)v->w), &q);
-        int met = q.cov > 0;
-        q.cov = 1;                              /* the surface's share alone; black where there is none */
-        orl_light_shade(light, &q, shown);
+        float sky[3], facing = 0;
         to_scene(R, (double[]){ n[0], n[1], n[2] }, turned);
         const float true_n[3] = { (float)turned[0], (float)turned[1], (float)turned[2] };
-        orl_light_esky(light, true_n, sky);
-        for (int k = 0; k < 3; k++) facing += true_n[k] * light->sun_dir[k];
-        for (size_t c = 0; c < 3; c++) {
-            ours[3 * i + c] = met ? orl_light_decode_srgb(shown[c]) : 0;
-            plain[3 * i + c] = albedo->px[3 * i + c] * (sky[c] + fmaxf(facing, 0) * light->sun_rgb[c]);
-        }
+        orl_light_esky(&r->light, true_n, sky);
+        for (int k = 0; k < 3; k++) facing += true_n[k] * r->light.sun_dir[k];
+        for (size_t c = 0; c < 3; c++) plain[3 * i + c] = albedo->px[3 * i + c] * (sky[c] + fmaxf(facing, 0) * r->light.sun_rgb[c]);
     }
 }
 
 /* Sums of PSNRs over the views of a test photo under other skies, gt/STEM_relit_SKY.exr. */
 typedef struct { double ours, noshadow; int n; } relit_sums;
 
-static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, orl_view *v, const double R[9], const orl_imagef *depth, const orl_imagef *albedo, relit_sums *sum)
+static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_photo *p, orl_view *v, const double R[9], int threads, const orl_imagef *depth, const orl_imagef *albedo, relit_sums *sum)
 {
     char dir[1100], start[300], what[300], path[2048];
+    double east[3];
     orl_imagef normal = { 0 };
     size_t n = (size_t)v->w * (size_t)v->h, stem = strcspn(p->name, ".") + 1;
     float *ours = malloc(n * 3 * sizeof *ours), *plain = malloc(n * 3 * sizeof *plain);
     double *room = malloc(n * sizeof *room);
-    orl_light *light = malloc(sizeof *light);
-    orl_err e = ours && plain && room && light ? ORL_OK : orl_fail(ORL_E_MEMORY, "eval: no memory for a relit view");
+    orl_panorama *sky = calloc(1, sizeof *sky);
+    orl_relight *r = malloc(sizeof *r);
+    orl_err e = ours && plain && room && sky && r ? ORL_OK : orl_fail(ORL_E_MEMORY, "eval: no memory for a relit view");
+    to_scene(R, (const double[]){ 1, 0, 0 }, east);
     snprintf(dir, sizeof dir, "%.1024s/gt", d->dir);
     snprintf(start, sizeof start, "%.*s_relit_", (int)stem - 1, p->name);
     DIR *all = opendir(dir);
@@ -437,19 +413,23 @@ static orl_err relit_views(const orl_dataset *d, const orl_scene *s, const orl_p
         snprintf(what, sizeof what, "%.*s", (int)(dot - f->d_name - (ptrdiff_t)stem), f->d_name + stem);
         snprintf(path, sizeof path, "%s/env/%s.exr", dir, what);
         if (!normal.px) e = read_truth(d, p, "normal", "RGB", &normal);
-        if (!e) e = panorama_light(s, R, path, light);
+        if (!e) e = orl_panorama_open(path, sky);
         if (!e) e = read_truth(d, p, what, "RGB", &truth);
         if (!e) {
-            orl_view_trace_sun(v, light, 0, v->h, 0);
-            relit_pictures(v, light, R, albedo, &normal, ours, plain);
+            sky->turn = (float)atan2(east[1], east[0]);         /* the truth's centre column looks along the world's +x */
+            orl_sun sun = orl_panorama_sun(sky);
+            orl_relight_init(v, &s->light, sky, &sun, r);
+            orl_relight_trace(r, threads);
+            relit_pictures(r, R, albedo, &normal, threads, ours, plain);
             sum->ours += relit_score(ours, truth.px, depth->px, n, room);
             sum->noshadow += relit_score(plain, truth.px, depth->px, n, room);
             sum->n++;
         }
+        orl_panorama_close(sky);
         orl_imagef_free(&truth);
     }
     if (all) closedir(all);
-    free(ours); free(plain); free(room); free(light);
+    free(ours); free(plain); free(room); free(sky); free(r);
     orl_imagef_free(&normal);
     return e;
 }
@@ -495,7 +475,7 @@ orl_err truth_factors(const orl_dataset *d, const orl_scene *s, const truth_opti
         if (!e) e = read_truth(d, p, "albedo", "RGB", &colour);
         if (!e) e = predict_view(s, &p->cam, &p->pose, 2, o->threads, &v, &mem);
         if (!e) base_colour(&v, &depth, &colour, albedo, &pixels);
-        if (!e) e = relit_views(d, s, p, &v, R, &depth, &colour, &relit);
+        if (!e) e = relit_views(d, s, p, &v, R, o->threads, &depth, &colour, &relit);
         if (!e && nsuns < MOST_SUNS && true_sun((char *)json, p, sun) && !(e = light_of_half(s, p, o, &fit))) {
             suns[nsuns] = sun_error(R, fit.code, sun);
             near[nsuns++] = nearest_sun(d, (char *)json, p, other) ? angle_deg(sun, other) : 180;
