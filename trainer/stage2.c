@@ -21,6 +21,12 @@ enum { PATCH = 8, FEW = 6 };    /* fine cells; photos */
 #define PULL 4.0f               /* over the square of the photos that see it */
 
 static const float BACKDROP_START[3] = { 0.3f, 0.3f, 0.3f };     /* where no photo shows it */
+/* Photos under lights of their own hardly tell a bright floor from a floor in much light: what floors and walls usually are decides. Ground reflects about 0.2 (Liu & Jordan 1963), paving a little more;
+ * stone is seldom white. PULL_*: towards it, per pixel. */
+#define FLOOR_START 0.25f
+#define STONE_START 0.4f
+#define PULL_FLOOR 1e-2f
+#define PULL_STONE 1e-3f
 
 const char *const WITHOUT_NAME[WITHOUTS] = { "tone", "shadow", "visibility", "ground", "distill", "sky-prior" };
 
@@ -213,7 +219,7 @@ static void find_common(stage2 *s)
     }
     for (int c = 0; c < 3; c++) {
         order_floats(v[c], n);
-        s->common[c] = n ? v[c][n / 2] : 0.4f;
+        s->common[c] = n ? v[c][n / 2] : FLOOR_START;
     }
 }
 
@@ -329,12 +335,16 @@ orl_err stage2_init(stage2 *s, const world *w, const surface *surf, const stage1
         s->order[k] = s->order[at];
         s->order[at] = k;
     }
-    /* Coarsest base colour 0.4 everywhere, also where no photo reaches; shadow features start as long waves. */
+    /* Base colour starts at its coarsest level, also where no photo reaches; shadow features start as long waves. */
     grid *g = &s->albedo[ALBEDO_LEVELS - 1];
-    for (size_t i = 0; i < g->nverts; i++) {
-        for (int c = 0; c < 3; c++) g->p[4 * i + (size_t)c] = 0.4f;
-        grid_mark(g, i);
-    }
+    for (int z = 0; z < g->n[2]; z++)
+        for (int y = 0; y < g->n[1]; y++)
+            for (int x = 0; x < g->n[0]; x++) {
+                const float at[3] = { (float)x * g->cell, (float)y * g->cell, (float)z * g->cell };
+                size_t i = grid_at(g, x, y, z);
+                for (int c = 0; c < 3; c++) g->p[4 * i + (size_t)c] = fabsf(at[2] - frame_ground_height(&surf->f, at)) < 0.6f * g->cell ? FLOOR_START : STONE_START;
+                grid_mark(g, i);
+            }
     float wave[ORL_SHADOW_DIM][4], longest = (float)surf->f.dims[0];
     for (int q = 0; q < ORL_SHADOW_DIM; q++) for (int a = 0; a < 4; a++) wave[q][a] = rng_normal(&r) * (a < 3 ? 12.0f / longest : 3.0f);
     for (size_t b = 0; b < (size_t)surf->nb[0] * (size_t)surf->nb[1] * (size_t)surf->nb[2]; b++) {
@@ -593,7 +603,7 @@ static void grad_photos(void *user, int begin, int end)
                     continue;
                 }
                 int floor = is_ground(s, q);
-                for (int a = 0; a < 3; a++) d_albedo[a] += 1e-3f * (o.albedo[a] - 0.4f);       /* stone is seldom white */
+                for (int a = 0; a < 3; a++) d_albedo[a] += floor ? PULL_FLOOR * (o.albedo[a] - FLOOR_START) : PULL_STONE * (o.albedo[a] - STONE_START);
                 colour_back(s->albedo, ALBEDO_LEVELS, t, &c.a, d_albedo, floor ? FLOOR_PLAIN : ALBEDO_PLAIN);
                 if (i & 1 && floor) {         /* what shows of the ground tells how it goes on */
                     colour_cells g;
