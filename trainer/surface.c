@@ -300,13 +300,12 @@ static void prune_range(void *user, int begin, int end)
 
 orl_err surface_prune(surface *s, const world *w, int threads)
 {
-    uint8_t *seen = calloc(s->nbricks + 1, 1);
-    if (!seen) return orl_fail(ORL_E_MEMORY, "surface: no memory");
+    uint8_t *seen = calloc(s->nbricks + 1, 1), *keep = calloc(s->nbricks + 1, 1);
+    if (!seen || !keep) { free(seen); free(keep); return orl_fail(ORL_E_MEMORY, "surface: no memory"); }
     prune_job j = { s, w, seen, world_ray_step(w) };
     orl_parallel(threads, w->nphotos, 1, prune_range, &j);
     size_t step[3] = { 1, (size_t)s->nb[0], (size_t)s->nb[0] * (size_t)s->nb[1] }, total = brick_count(s);
-    uint8_t *keep = calloc(s->nbricks + 1, 1);
-    for (size_t i = 0; keep && i < total; i++) {
+    for (size_t i = 0; i < total; i++) {
         if (s->bmap[i] < 0 || !(seen[s->bmap[i]] & SEEN)) continue;
         for (int dz = -1; dz <= 1; dz++)
             for (int dy = -1; dy <= 1; dy++)
@@ -321,7 +320,7 @@ orl_err surface_prune(surface *s, const world *w, int threads)
     for (size_t i = 0; i < total; i++) {        /* brick indices rise with i, so bricks move down in place */
         int32_t m = s->bmap[i];
         if (m < 0) continue;
-        if (!keep || !keep[m]) { s->bmap[i] = -1; continue; }
+        if (!keep[m]) { s->bmap[i] = -1; continue; }
         memmove(s->sdf + (size_t)n * ORL_BRICK_VERTS, s->sdf + (size_t)m * ORL_BRICK_VERTS, ORL_BRICK_VERTS * sizeof *s->sdf);
         s->bmap[i] = (int32_t)n++;
     }
