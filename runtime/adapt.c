@@ -221,6 +221,31 @@ static int informative(const orl_sample *s, size_t n)
     return all > 0 && good > 0.005 * all;
 }
 
+/* A black-and-white photo: the three channels alike in nearly all samples. */
+static int colourless(const orl_sample *s, size_t n)
+{
+    double all = 0, grey = 0;
+    for (size_t i = 0; i < n; i++) {
+        if (!usable(&s[i])) continue;
+        const float *c = s[i].rgb, off = 2.5f / 255;
+        all += s[i].weight;
+        if (fabsf(c[0] - c[1]) < off && fabsf(c[1] - c[2]) < off && fabsf(c[2] - c[0]) < off) grey += s[i].weight;
+    }
+    return all > 0 && grey > 0.98 * all;
+}
+
+/* One tone for all channels, the mean of theirs: what the photo does not show turns grey, too. */
+static void drain(float code[N])
+{
+    float *a = code + ORL_C_TONE, *b = a + 9;
+    float mean = (b[0] + b[1] + b[2]) / 3;
+    for (int k = 0; k < 3; k++) {
+        float in = (a[k] + a[3 + k] + a[6 + k] + 1) / 3;        /* of A = I + A' */
+        for (int c = 0; c < 3; c++) a[3 * c + k] = in - (float)(c == k);
+        b[k] = mean;
+    }
+}
+
 static void finish(state *w, const descent *d, const normal *q, int steps, orl_adapt_result *out)
 {
     memcpy(out->code, d->code, sizeof out->code);
@@ -308,5 +333,6 @@ orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const
         out->iterations = steps;
     }
     if (out->status == ORL_ADAPT_DEGENERATE) memcpy(out->code, from.code, sizeof out->code);
+    else if (!w->fixed[ORL_C_TONE] && colourless(s, n)) drain(out->code);
     return ORL_OK;
 }

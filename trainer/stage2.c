@@ -12,7 +12,7 @@
 
 static const int ALBEDO_CELL[ALBEDO_LEVELS] = { 1, 4, 16 }, GROUND_CELL[GROUND_LEVELS] = { 8, 32, 128 }, BACKDROP_CELL[BACKDROP_LEVELS] = { 1, 4, 16 };
 static const float ALBEDO_LR[ALBEDO_LEVELS] = { 0.015f, 0.012f, 0.006f }, GROUND_LR[GROUND_LEVELS] = { 0.012f, 0.008f, 0.006f };
-static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 4.0f, 0.8f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f }, BACKDROP_PLAIN[BACKDROP_LEVELS] = { 0.2f, 0.05f, 0 };
+static const float ALBEDO_PLAIN[ALBEDO_LEVELS] = { 0.05f, 0.01f, 0 }, FLOOR_PLAIN[ALBEDO_LEVELS] = { 4.0f, 0.12f, 0 }, GROUND_PLAIN[GROUND_LEVELS] = { 0.05f, 0.02f, 0.005f }, BACKDROP_PLAIN[BACKDROP_LEVELS] = { 0.2f, 0.05f, 0 };
 enum { SHARED = ORL_SKY_Q * 3 * ORL_SKY_Y + 3, ADAPT_SAMPLES = 1200, TRACE_EVERY = 4, LEAST_SKY = 16, MOST_PIXELS = 16 << 20 };     /* of all photos */
 enum { DETAIL = 2 };            /* base colour's textures: times the rounds' pixels that they are found from */
 /* Ground near the photographers is in few photos, and who stands there in them would stain it: the fewer see it, the more it is drawn to the colour of the ground that many see. */

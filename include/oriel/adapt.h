@@ -24,7 +24,8 @@ typedef struct {
 
 orl_adapt_options orl_adapt_defaults(void);
 size_t orl_adapt_need(void);                            /* bytes of work memory, 64-byte aligned */
-/* samples with weight 0 are skipped. Robust weight: Geman-McClure on the residual's RGB norm. A channel observed >= 250/255 with a brighter model counts as fitting (saturated). init: NULL = several starts from the prior mean. */
+/* samples with weight 0 are skipped. Robust weight: Geman-McClure on the residual's RGB norm. A channel observed >= 250/255 with a brighter model counts as fitting (saturated). init: NULL = several starts from the prior mean.
+ * Of a black-and-white photo (98 % of the weight within 2.5 levels of grey) the tone is the same for all channels. */
 orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
                   const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out);
 #endif
