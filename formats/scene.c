@@ -17,8 +17,8 @@
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META" };
+enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, VPHO, VWID, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "VPHO", "VWID" };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
@@ -125,9 +125,14 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
         if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        if (t == ALBD || t == CODE || t == FACE) continue;
+        if (t == ALBD || t == CODE || t == FACE || t >= VPHO) continue;
         int required = t <= ALBD ? scene : t > FACE;
         if ((e = need(l, t, required, want[t], name))) return e;
+    }
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        s->view[k] = l->known[VPHO + k].at;
+        s->view_bytes[k] = l->known[VPHO + k].bytes;
+        if (!s->view[k] != !s->view[0] || (s->view[k] && scene)) return orl_fail(ORL_E_FORMAT, "%s: section %s: a baked file has both views and no HEAD", name, tags[VPHO + k]);
     }
     span base = l->known[ALBD], face = l->known[FACE], code = l->known[CODE];
     if (scene && !base.at) return orl_fail(ORL_E_FORMAT, "%s: section ALBD is missing", name);
@@ -409,6 +414,10 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     char title[sizeof s->title] = { 0 };
     memcpy(title, s->title, strnlen(s->title, sizeof title - 1));
     data[META] = title;
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        data[VPHO + k] = s->view[k];
+        bytes[VPHO + k] = s->view_bytes[k];
+    }
     if (s->bmap) {
         uint64_t places = 1, n = s->nbricks;
         for (int a = 0; a < 3; a++) {

@@ -3,14 +3,16 @@
 #include <stdlib.h>
 #include "oriel/cpu.h"
 #include "oriel/image.h"
+#include "runtime/baked.h"
 #include "runtime/commands.h"
 #include "runtime/run.h"
 
 static const char HELP[] =
-    "Usage: oriel run --scene FILE --pose FILE --source SOURCE --sink SINK [OPTION]...\n"
+    "Usage: oriel run (--scene FILE --pose FILE | --view FILE) --source SOURCE --sink SINK [OPTION]...\n"
     "Widen every picture of a fixed camera.\n\n"
     "  --scene FILE       scene file made by oriel-train\n"
     "  --pose FILE        the camera; a second line, where there is one, is the wide view wanted\n"
+    "  --view FILE        instead of both: the views as `oriel bake` made them; nothing is marched then\n"
     "  --source SOURCE    replay:PATH (Y4M file, - for standard input, or a folder of pictures)\n"
     "  --sink SINK        files:DIR[/PATTERN], hash:, y4m:FILE (- for standard output)\n"
     "  --widen F          field of view, times the camera's; 1.8 if the pose file has no second line\n"
@@ -25,7 +27,7 @@ static const char HELP[] =
     "  --help             this text\n";
 
 typedef struct {
-    const char *scene, *source, *sink;
+    const char *scene, *baked, *source, *sink;
     orl_view_request view;
     orl_run_options run;
     int no_blend, report, threads;
@@ -35,7 +37,7 @@ typedef struct {
 static int parse(int argc, char **argv, options *o)
 {
     static const struct option TABLE[] = {
-        { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "source", required_argument, NULL, 'S' }, { "sink", required_argument, NULL, 'D' },
+        { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' }, { "sink", required_argument, NULL, 'D' },
         { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "frames", required_argument, NULL, 'n' }, { "adapt-every", required_argument, NULL, 'a' },
         { "no-blend", no_argument, NULL, 'b' }, { "realtime", no_argument, NULL, 'T' }, { "report", no_argument, NULL, 'r' }, { "threads", required_argument, NULL, 't' },
         { "cpu", required_argument, NULL, 'u' }, { "help", no_argument, NULL, 'h' }, { 0 } };
@@ -45,6 +47,7 @@ static int parse(int argc, char **argv, options *o)
         switch (c) {
         case 's': o->scene = optarg; break;
         case 'p': o->view.pose = optarg; break;
+        case 'v': o->baked = optarg; break;
         case 'S': o->source = optarg; break;
         case 'D': o->sink = optarg; break;
         case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
@@ -63,8 +66,12 @@ static int parse(int argc, char **argv, options *o)
         }
     }
     if (e) return ORL_EXIT_USAGE;
-    if (argc != optind || !o->scene || !o->view.pose || !o->source || !o->sink) {
-        orl_fail(ORL_E_RANGE, "wanted are --scene, --pose, --source and --sink");
+    if (argc != optind || (o->baked ? o->scene || o->view.pose : !o->scene || !o->view.pose) || !o->source || !o->sink) {
+        orl_fail(ORL_E_RANGE, "wanted are --source, --sink, and either --view or both --scene and --pose");
+        return ORL_EXIT_USAGE;
+    }
+    if (o->baked && (o->view.w || o->view.widen > 0)) {
+        orl_fail(ORL_E_RANGE, "--widen and --size are settled when a view is baked");
         return ORL_EXIT_USAGE;
     }
     return ORL_EXIT_DONE;
@@ -81,6 +88,7 @@ static void report(const orl_run_figures *f)
 static orl_err run(const options *o)
 {
     orl_scene scene = { 0 };
+    orl_baked baked = { 0 };
     orl_source *source = NULL;
     orl_sink *sink = NULL;
     orl_view_pose from, to;
@@ -89,12 +97,17 @@ static orl_err run(const options *o)
     orl_image photo = { 0 }, wide = { 0 };
     void *block = NULL;
     char line[256] = "";
-    orl_err e = orl_place_open(o->scene, &scene);
+    orl_err e = o->baked ? orl_baked_open(o->baked, &baked) : orl_place_open(o->scene, &scene);
     if (e) return e;
     if ((e = orl_source_open(o->source, &source))) goto done;
     const orl_source_info *i = &source->info;
-    if ((e = orl_views_find(&o->view, o->source, i->w, i->h, &from, &to))) goto done;
-    orl_widen_config c = { .scene = &scene, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .blend = !o->no_blend,
+    if (o->baked) {
+        from = (orl_view_pose){ .cam = baked.photo, .pose = baked.view[0].pose };
+        to = (orl_view_pose){ .cam = baked.view[1].cam, .pose = baked.view[1].pose };
+        e = orl_camera_fit(&from.cam, o->source, i->w, i->h);
+    } else e = orl_views_find(&o->view, o->source, i->w, i->h, &from, &to);
+    if (e) goto done;
+    orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .blend = !o->no_blend,
                            .threads = o->threads, .cpu = o->cpu };
     size_t need = orl_widen_need(&c);
     block = orl_widen_block(need);
@@ -115,6 +128,7 @@ done:
     orl_image_free(&photo);
     orl_image_free(&wide);
     orl_scene_close(&scene);
+    orl_baked_close(&baked);
     return e;
 }
 

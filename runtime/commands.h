@@ -10,6 +10,7 @@
 int orl_cmd_info(int argc, char **argv);
 int orl_cmd_extend(int argc, char **argv);
 int orl_cmd_relight(int argc, char **argv);
+int orl_cmd_bake(int argc, char **argv);
 int orl_cmd_run(int argc, char **argv);
 
 enum { ORL_EXIT_DONE = 0, ORL_EXIT_FAILED = 1, ORL_EXIT_USAGE = 2 };
@@ -26,6 +27,9 @@ typedef struct { const char *pose, *colmap; double widen, otherwise; int w, h; }
 /* The camera that took `name` (its last path component; any with --pose), at the size of the picture w x h (0: as recorded), and the wide view wanted:
  * the pose file's second line, unless widen or size ask for another; without either the field of view `otherwise` times as wide. Size: the photo's scale, at most 4096 pixels. */
 orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide);
+
+/* A camera at the size of the pictures that come from `name`: ORL_E_FORMAT if they have another shape. */
+orl_err orl_camera_fit(orl_camera *c, const char *name, int w, int h);
 
 /* A scene file to render: one that holds a sky decoder alone is ORL_E_FORMAT. */
 orl_err orl_place_open(const char *path, orl_scene *out);

@@ -12,6 +12,7 @@ static const struct { const char *name, *what; int (*run)(int, char **); } COMMA
     { "info", "what is in a scene file", orl_cmd_info },
     { "extend", "one photo, widened", orl_cmd_extend },
     { "relight", "the scene under a chosen sky, or over a day", orl_cmd_relight },
+    { "bake", "a fixed camera's views, made once for `run --view`", orl_cmd_bake },
     { "run", "camera loop: source -> widened pictures -> sink", orl_cmd_run },
 };
 enum { COUNT = sizeof COMMANDS / sizeof *COMMANDS };

@@ -117,6 +117,15 @@ static orl_err from_colmap(const char *dir, const char *name, orl_view_pose *out
     return models ? orl_fail(ORL_E_RANGE, "%s: no camera named %s", dir, last_part(name)) : orl_fail(ORL_E_IO, "%s: no COLMAP model here", dir);
 }
 
+orl_err orl_camera_fit(orl_camera *c, const char *name, int w, int h)
+{
+    if (c->w == w && c->h == h) return ORL_OK;
+    if (fabs((double)c->w * h - (double)c->h * w) > 1.5 * (c->w > c->h ? w > h ? w : h : h > w ? h : w))
+        return orl_fail(ORL_E_FORMAT, "%s: %d x %d pixels do not have the shape of its camera, %d x %d", name, w, h, c->w, c->h);
+    *c = orl_camera_resized(c, w, h);
+    return ORL_OK;
+}
+
 orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide)
 {
     orl_view_pose v[2];
@@ -125,11 +134,7 @@ orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h
     if (e) return e;
     if (count < 1) return orl_fail(ORL_E_FORMAT, "%s: no view in it", q->pose);
     orl_camera *c = &v[0].cam;
-    if (w && (c->w != w || c->h != h)) {
-        if (fabs((double)c->w * h - (double)c->h * w) > 1.5 * (c->w > c->h ? w > h ? w : h : h > w ? h : w))
-            return orl_fail(ORL_E_FORMAT, "%s: %d x %d pixels do not have the shape of its camera, %d x %d", name, w, h, c->w, c->h);
-        *c = orl_camera_resized(c, w, h);
-    }
+    if (w && (e = orl_camera_fit(c, name, w, h))) return e;
     if (count < 2 || q->widen > 0) {
         double f = q->widen > 0 ? q->widen : q->otherwise;
         int ww = q->w, wh = q->h;

@@ -7,7 +7,8 @@
 #include "runtime/kernels/shade.h"
 #include "runtime/march.h"
 
-enum { NODES = 66, GRAIN = 4, CHUNK = 256 };
+enum { NODES = 66, GRAIN = 4, CHUNK = 256, QUARTER = 255 * 256 };      /* QUARTER turn in units of the horizons' kernel */
+_Static_assert((int)ORL_VIEW_NORMALS == (int)ORL_PAL, "the palette of normals");
 
 /* Directions on a coarse grid of pixel centres: node (i, j) is pixel (i << log2, j << log2). */
 typedef struct { int log2, nx, ny; float dir[NODES * NODES][3]; } sky_grid;
@@ -228,6 +229,27 @@ static void build_sky(orl_view *v)
     }
 }
 
+size_t orl_view_attach_need(int w, int h)
+{
+    size_t n = (size_t)padded(w) * (size_t)h;
+    return w > 0 && h > 0 ? align64(n) + align64(n) + align64(sizeof(sky_grid)) : 0;
+}
+
+orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_view *out)
+{
+    if (bytes < orl_view_attach_need(from->w, from->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_attach_need(from->w, from->h));
+    orl_view v = *from;
+    size_t n = (size_t)v.stride * (size_t)v.h;
+    v.fix = block;
+    v.vis = (uint8_t *)block + align64(n);
+    v.sky = v.vis + align64(n);
+    memset(v.fix, 0, n);
+    memset(v.vis, 255, n);
+    build_sky(&v);
+    *out = v;
+    return ORL_OK;
+}
+
 static int all_finite(const double *v, int n) { for (int i = 0; i < n; i++) if (!(v[i] > -1e12 && v[i] < 1e12)) return 0; return 1; }
 
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out)
@@ -412,38 +434,150 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
 
 /* ---- the sun's way */
 
+/* Where rays from a pixel's surface begin. 0: the lens has no such pixel. */
+static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3])
+{
+    double d[3], t = v->depth[(size_t)y * (size_t)v->stride + (size_t)x] / 16.0;
+    if (!pixel_dir(v, x + 0.5, y + 0.5, d)) return 0;
+    for (int a = 0; a < 3; a++) o[a] = v->eye[a] + t * d[a] + (double)(ORL_SUN_LIFT * n[a]);
+    return 1;
+}
+
 static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const orl_light *l)
 {
     const float *n = p->normal, *s = l->sun_dir;
-    double d[3], o[3], sun[3] = { s[0], s[1], s[2] }, t = v->depth[(size_t)y * (size_t)v->stride + (size_t)x] / 16.0;
+    double o[3], sun[3] = { s[0], s[1], s[2] };
     orl_hit h;
-    if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !pixel_dir(v, x + 0.5, y + 0.5, d)) return 0;
-    for (int a = 0; a < 3; a++) o[a] = v->eye[a] + t * d[a] + (double)(ORL_SUN_LIFT * n[a]);
+    if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !lifted(v, x, y, n, o)) return 0;
     return !orl_march(v->scene, o, sun, &h);
 }
 
-typedef struct { orl_view *v; const orl_light *l; int y0; } trace_job;
+typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; } trace_job;
+
+static void trace_row(const trace_job *j, int y)
+{
+    orl_view *v = j->v;
+    const orl_light *l = j->l;
+    for (int x = 0; x < v->w; x++) {
+        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+        orl_sample p;
+        v->fix[at] = 0;
+        if (!v->cov[at] || !v->scene->lite || !(l->sun_dir[2] > 0)) continue;     /* a scene without horizons takes the sun as unhidden */
+        orl_view_sample(v, x, y, &p);
+        v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
+    }
+}
+
+/* As the horizon's, from above: what a ceiling takes of a baked pixel's sun. */
+static void look_up_row(const trace_job *j, int y)
+{
+    orl_view *v = j->v;
+    uint8_t over[CHUNK], under[CHUNK];
+    for (int x = 0; x < v->stride; x += CHUNK) {
+        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+        int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
+        orl_vis_ref(v->horizon + at * ORL_HORIZON, &j->over, n, over);
+        orl_vis_ref(v->ceiling + at * ORL_HORIZON, &j->under, n, under);
+        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)(j->l->sun_dir[2] > 0 ? -((over[i] * (255 - under[i]) + 255) / 510) : 0);      /* in 1/127 of over under / 255 - over */
+    }
+}
 
 static void trace_rows(void *user, int begin, int end)
 {
     const trace_job *j = user;
-    orl_view *v = j->v;
-    const orl_light *l = j->l;
-    for (int y = j->y0 + begin; y < j->y0 + end; y++)
-        for (int x = 0; x < v->w; x++) {
-            size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-            orl_sample p;
-            v->fix[at] = 0;
-            if (!v->cov[at] || !v->scene->lite || !(l->sun_dir[2] > 0)) continue;     /* a scene without horizons takes the sun as unhidden */
-            orl_view_sample(v, x, y, &p);
-            v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
-        }
+    for (int y = j->y0 + begin; y < j->y0 + end; y++) (j->v->ceiling ? look_up_row : trace_row)(j, y);
 }
 
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads)
 {
-    trace_job j = { v, l, y0 };
+    trace_job j = { .v = v, .l = l, .y0 = y0 };
+    make_vis(&j.over, l);
+    j.under = j.over;
+    j.under.sun = QUARTER + ORL_VIS_SPAN - j.over.sun;              /* pi / 2 - elevation + half the soft sun */
+    if (j.under.sun < ORL_VIS_SPAN) j.under.sun = ORL_VIS_SPAN;     /* nothing overhead hides nothing */
     orl_parallel(threads, y1 - y0, GRAIN, trace_rows, &j);
+}
+
+/* ---- baking */
+
+enum { LOOKS = 18, HALVINGS = 3 };      /* elevations looked at in an azimuth, 5 degrees apart; then each end of the gap is halved so often */
+
+static int open_at(const orl_view *v, const double o[3], float az, float el)
+{
+    const double d[3] = { orl_cosf(el) * orl_cosf(az), orl_cosf(el) * orl_sinf(az), orl_sinf(el) };
+    orl_hit h;
+    return !orl_march(v->scene, o, d, &h);
+}
+
+/* Elevation between shut and open at which the one becomes the other. */
+static float edge(const orl_view *v, const double o[3], float az, float shut, float open)
+{
+    for (int k = 0; k < HALVINGS; k++) {
+        float mid = 0.5f * (shut + open);
+        if (open_at(v, o, az, mid)) open = mid;
+        else shut = mid;
+    }
+    return 0.5f * (shut + open);
+}
+
+/* The widest gap of one azimuth in bytes of a quarter turn. 0: the surface looks away from all of it, and it does not matter. */
+static int gap_of(const orl_view *v, const double o[3], const float n[3], int azimuth, uint8_t *horizon, uint8_t *ceiling)
+{
+    const float quarter = 1.57079633f, step = quarter / LOOKS, az = (float)azimuth * (4 * quarter / ORL_HORIZON), ahead = n[0] * orl_cosf(az) + n[1] * orl_sinf(az);
+    int open[LOOKS], best = 0, first = 0, known = 0;
+    for (int k = 0; k < LOOKS; k++) {
+        float el = ((float)k + 0.5f) * step;
+        int faces = orl_cosf(el) * ahead + orl_sinf(el) * n[2] > 0.02f;
+        open[k] = faces ? open_at(v, o, az, el) : -1;
+        known |= faces;
+    }
+    if (!known) return 0;
+    for (int k = 1; k < LOOKS; k++) if (open[k] < 0) open[k] = open[k - 1];         /* where the surface looks away, as next to it */
+    for (int k = LOOKS - 2; k >= 0; k--) if (open[k] < 0) open[k] = open[k + 1];
+    for (int k = 0, from = 0; k <= LOOKS; k++) {
+        if (k < LOOKS && open[k]) continue;
+        if (k - from > best) { best = k - from; first = from; }
+        from = k + 1;
+    }
+    float lo = first ? edge(v, o, az, ((float)first - 0.5f) * step, ((float)first + 0.5f) * step) : 0;
+    float hi = first + best < LOOKS ? edge(v, o, az, ((float)(first + best) + 0.5f) * step, ((float)(first + best) - 0.5f) * step) : quarter;
+    *horizon = (uint8_t)(best ? rounded(lo * (255 / quarter)) : 255);
+    *ceiling = (uint8_t)(best ? 255 - rounded(hi * (255 / quarter)) : 0);
+    return 1;
+}
+
+static void bake_pixel(const trace_job *j, int x, int y)
+{
+    orl_view *v = j->v;
+    size_t at = ((size_t)y * (size_t)v->stride + (size_t)x);
+    uint8_t *horizon = v->horizon + at * ORL_HORIZON, *ceiling = j->ceiling + at * ORL_HORIZON;
+    orl_sample p;
+    double o[3];
+    int known[ORL_HORIZON];
+    if (!v->cov[at] || !v->scene->lite) return;
+    orl_view_sample(v, x, y, &p);
+    if (!lifted(v, x, y, p.normal, o)) return;
+    for (int i = 0; i < ORL_HORIZON; i++) known[i] = gap_of(v, o, p.normal, i, &horizon[i], &ceiling[i]);
+    for (int i = 0; i < ORL_HORIZON; i++)
+        for (int off = 1; !known[i] && off < ORL_HORIZON; off++) {                   /* as the nearest azimuth that it faces; the first of two */
+            int from = (i + (off & 1 ? (off + 1) / 2 : ORL_HORIZON - off / 2)) & (ORL_HORIZON - 1);
+            if (!known[from]) continue;
+            horizon[i] = horizon[from];
+            ceiling[i] = ceiling[from];
+            break;
+        }
+}
+
+static void bake_rows(void *user, int begin, int end)
+{
+    const trace_job *j = user;
+    for (int y = j->y0 + begin; y < j->y0 + end; y++) for (int x = 0; x < j->v->w; x++) bake_pixel(j, x, y);
+}
+
+void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling)
+{
+    memset(ceiling + (size_t)y0 * (size_t)v->stride * ORL_HORIZON, 0, (size_t)(y1 - y0) * (size_t)v->stride * ORL_HORIZON);
+    orl_parallel(threads, y1 - y0, 1, bake_rows, &(trace_job){ .v = v, .y0 = y0, .ceiling = ceiling });
 }
 
 /* ---- rows */

@@ -13,7 +13,7 @@ enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2, TRACES = 2, BANDS = 32 
 
 void *orl_widen_block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
 
-static orl_camera small_camera(const orl_camera *photo)
+orl_camera orl_widen_small(const orl_camera *photo)
 {
     int w, h;
     orl_size_long_side(photo->w, photo->h, SMALL_SIDE, &w, &h);
@@ -41,7 +41,7 @@ typedef struct { void *small, *wide, *blend; } blocks;
 
 static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, blocks *b)
 {
-    orl_camera s = small_camera(&c->photo);
+    orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
     w->nsamples = pick(s.w, s.h, NULL);
     w->light = orl_arena_take(a, sizeof *w->light);
     w->samples = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->samples);
@@ -49,8 +49,8 @@ static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, block
     w->unmasked = orl_arena_take(a, (size_t)s.w * (size_t)s.h);
     w->adapt_work = orl_arena_take(a, orl_adapt_need());
     w->light_block = orl_arena_take(a, orl_view_light_need());
-    b->small = orl_arena_take(a, orl_view_need(s.w, s.h));
-    b->wide = orl_arena_take(a, orl_view_need(c->wide.w, c->wide.h));
+    b->small = orl_arena_take(a, c->baked ? orl_view_attach_need(s.w, s.h) : orl_view_need(s.w, s.h));
+    b->wide = orl_arena_take(a, c->baked ? orl_view_attach_need(c->wide.w, c->wide.h) : orl_view_need(c->wide.w, c->wide.h));
     b->blend = c->blend ? orl_arena_take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
 }
 
@@ -97,9 +97,15 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
     w.config = *c;
     if (bytes < orl_widen_need(c)) return orl_fail(ORL_E_MEMORY, "widen: the block is too small");
     lay_out(&a, c, &w, &b);
-    orl_camera s = small_camera(&c->photo);
-    orl_err e = orl_view_build(c->scene, &s, &c->photo_pose, 2, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
-    if (!e) e = orl_view_build(c->scene, &c->wide, &c->wide_pose, 2, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+    orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
+    orl_err e = ORL_OK;
+    if (c->baked) {
+        e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
+        if (!e) e = orl_view_attach(&c->baked[1], b.wide, orl_view_attach_need(c->wide.w, c->wide.h), &w.wide);
+    } else {
+        e = orl_view_build(c->scene, &s, &c->photo_pose, 2, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
+        if (!e) e = orl_view_build(c->scene, &c->wide, &c->wide_pose, 2, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+    }
     if (!e && c->blend)
         e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, w.wide.cov, (size_t)w.wide.stride, c->mask, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
     if (e) return e;

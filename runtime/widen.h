@@ -9,7 +9,8 @@
 #include "oriel/view.h"
 
 typedef struct {
-    const orl_scene *scene;
+    const orl_scene *scene;             /* or, with baked, only its light model and codes */
+    const orl_view *baked;              /* [ORL_VIEWS], the photo's and the wide view, kept by the caller; NULL: both are built */
     orl_camera photo, wide;             /* photo: at the frame's size */
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
@@ -43,6 +44,8 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo);
 /* The wide picture (tight RGB) in the light found last. photo is blended in, if the configuration says so. */
 orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out);
+/* The photo's camera at the size in which light is found. */
+orl_camera orl_widen_small(const orl_camera *photo);
 /* 64-byte aligned memory for such blocks; NULL if there is none. */
 void *orl_widen_block(size_t bytes);
 #endif

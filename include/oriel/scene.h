@@ -12,7 +12,7 @@
 #include "oriel/light.h"
 #include "oriel/skin.h"
 
-enum { ORL_GROUND_SIDE = 96, ORL_CUTS = 16 };      /* CUTS: sections of the solid that a ray passes through at most */
+enum { ORL_GROUND_SIDE = 96, ORL_VIEWS = 2, ORL_CUTS = 16 };      /* CUTS: sections of the solid that a ray passes through at most */
 #define ORL_GROUND_FALL 1e-3f   /* least slope at which a ray falls on the ground */
 #define ORL_GROUND_FAR 1e5f     /* cells */
 #define ORL_GROUND_CUT 0.02f    /* of the box's side along x: a cut no higher over the plane is the ground's, a higher one is passed through */
@@ -42,6 +42,7 @@ typedef struct {
     orl_light_model light;          /* decoded from int16 with power-of-two scales */
     uint32_t ncodes;                /* codes of training photos, starts for adaptation; may be 0 */
     const float *codes;             /* [ncodes][ORL_CODE] */
+    const uint8_t *view[ORL_VIEWS]; uint64_t view_bytes[ORL_VIEWS];    /* of a baked file, which has no surface: the photo's view and the wide one (runtime/baked.h); NULL, 0 */
     char title[64];                 /* e.g. the SCENE folder's name */
     /* owner's side */
     void *map; size_t map_bytes;    /* mapped file, or NULL when the arrays belong to the writer */

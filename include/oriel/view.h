@@ -12,6 +12,7 @@ typedef struct {
     uint8_t *open, *cov;            /* 0..255 */
     uint8_t *horizon;               /* [pixel][16] */
     int8_t  *phi;                   /* [pixel][8] */
+    const uint8_t *ceiling;         /* [pixel][16] of a baked view: 255 - elevation of what hangs over it in each azimuth, 0 nothing; NULL: the scene tells */
     int8_t *fix;                    /* what a traced sun has over the horizons', in 1/127; 0: not traced */
     uint8_t *vis;                   /* sun visibility under the current light, 0..255 */
     uint16_t *depth;                /* Q.4 fine cells along the ray, 65535 = none */
@@ -19,18 +20,27 @@ typedef struct {
     orl_camera cam; orl_pose pose;
     double grid_from_cam[9];        /* rotation camera -> scene frame (z up) */
     double eye[3];                  /* grid frame */
-    const orl_scene *scene;         /* not owned; for orl_view_trace_sun */
+    const orl_scene *scene;         /* not owned; for orl_view_trace_sun, NULL where ceiling is there */
     void *sky;                      /* coarse grid of sky directions, private */
 } orl_view;
 
 size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
 /* Marches every pixel; supersample 1 or 2 (2: four rays a pixel, attributes averaged, coverage counted). Bit-identical for any thread count. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
+
+/* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
+ * ceiling: [stride h][16], the caller's; v->ceiling when all rows are done. Bit-identical for any thread count. */
+void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling);
+/* A view whose planes (all but fix and vis), cam, pose, grid_from_cam, eye and phi_scale stand in *from, as they were baked: rests in block, the planes stay where they are. */
+size_t orl_view_attach_need(int w, int h);
+orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_view *out);
+enum { ORL_VIEW_NORMALS = 64 * 64 };                                /* palette entries: every normal is below */
+
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
 
 /* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
- * sun moves, so trace again where it moved by more than a degree or so. Bit-identical for any thread count. */
+ * sun moves, so trace again where it moved by more than a degree or so. A baked view looks it up. Bit-identical for any thread count. */
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads);
 
 /* Tables of one light in fixed point (formats in runtime/kernels/shade.h). */

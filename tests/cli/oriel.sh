@@ -13,7 +13,7 @@ scene="--scene $W/scene.oriel" pose="--pose $W/pose.txt" clip="--source replay:$
 # what it says about itself
 "$O" --help | grep -q extend || fail "--help"
 "$O" --version | grep -q '^cpu: ' || fail "--version"
-for c in info extend relight run; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
+for c in info extend relight bake run; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
 "$O" info "$W/scene.oriel" | grep -q 'SDF8' || fail "info"
 "$O" info --json "$W/scene.oriel" | grep -q '"title": "synthetic"' || fail "info --json"
 if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | python3 -m json.tool >/dev/null || fail "info --json is not JSON"; fi
@@ -27,14 +27,29 @@ for cpu in ref auto avx2 neon dotprod; do
         [ "$got" = "$want" ] || fail "--cpu=$cpu --threads=$threads: $got, not $want"
     done
 done
+# a baked view: another picture (its suns are looked up), but one, and close
+"$O" bake $scene $pose -o "$W/kiosk.oriel" >"$W/out" || fail "bake"
+grep -q '200 x 120 pixels' "$W/out" || fail "bake said $(cat "$W/out")"
+baked=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=ref --threads=1) || fail "run --view"
+for cpu in auto avx2; do
+    got=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$cpu --threads=2 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--view --cpu=$cpu: $(cat "$W/err")"; continue; }
+    [ "$got" = "$baked" ] || fail "--view --cpu=$cpu: $got, not $baked"
+done
+expect 1 "no baked view" "$O" run --view "$W/scene.oriel" $clip --sink hash:
+expect 1 "no surface" "$O" run --scene "$W/kiosk.oriel" $pose $clip --sink hash:
+expect 2 "either --view or both" "$O" run --view "$W/kiosk.oriel" $pose $clip --sink hash:
+expect 2 "settled when a view is baked" "$O" run --view "$W/kiosk.oriel" $clip --sink hash: --widen 2
 if command -v aarch64-linux-gnu-gcc >/dev/null && command -v qemu-aarch64-static >/dev/null; then
     board_want=$("$O" run $scene $pose $clip --sink hash: --frames 3)       # emulation is slow
+    baked_want=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --frames 3)
     for board in rpi4 rpi5; do
         make -s BOARD=$board CC=aarch64-linux-gnu-gcc SAN= build/$board/oriel >"$W/make" 2>&1 || { fail "make BOARD=$board: $(tail -3 "$W/make")"; continue; }
         cpu=cortex-a72 name=neon
         [ $board = rpi5 ] && cpu=max name=dotprod
         got=$(qemu-aarch64-static -cpu $cpu build/$board/oriel run $scene $pose $clip --sink hash: --cpu=$name --threads=2 --frames 3)
         [ "$got" = "$board_want" ] || fail "$board, $name: $got, not $board_want"
+        got=$(qemu-aarch64-static -cpu $cpu build/$board/oriel run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$name --threads=2 --frames 3)
+        [ "$got" = "$baked_want" ] || fail "$board, $name, baked: $got, not $baked_want"
     done
 else
     echo "oriel.sh: no aarch64 cross compiler or qemu here: boards left out"
@@ -42,6 +57,7 @@ fi
 
 # sources and sinks
 "$O" run $scene $pose $clip --sink "y4m:$W/wide.y4m" || fail "y4m sink"
+expect 1 "shape of its camera" "$O" run --view "$W/kiosk.oriel" --source "replay:$W/wide.y4m" --sink hash:
 "$O" run $scene $pose $clip --sink y4m:- | cmp - "$W/wide.y4m" || fail "y4m to standard output"
 "$O" run $scene $pose --source replay:- --sink hash: <"$W/clip.y4m" >"$W/out" || fail "source on standard input"
 [ "$(cat "$W/out")" = "$want" ] || fail "standard input: another hash"

@@ -1,0 +1,251 @@
+/* Baked views: what is written comes back, a baked sun agrees with a traced one, a roof hides high suns and lets low ones in, threads agree, and hostile files are named. */
+#include "tests/scratch.h"
+#include <math.h>
+#include "oriel/cpu.h"
+#include "runtime/baked.h"
+#include "runtime/widen.h"
+#include "tests/synth_scene.h"
+
+enum { W = 96, H = 64 };
+static orl_scene scene;
+static orl_camera cam;
+static orl_pose pose;
+static orl_view view[ORL_VIEWS];
+static uint8_t *ceiling[ORL_VIEWS];
+static void *block[ORL_VIEWS];
+static orl_light light;
+
+static int set_up(void **state)
+{
+    if (scratch_make(state)) return -1;
+    synth_scene_make(&scene, 8, 8, 6);
+    cam = synth_camera(2 * W, 2 * H, 45);
+    pose = synth_look(&scene, (double[]){ 6, -14, 26 }, (double[]){ 34, 34, 20 });
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        orl_camera c = k ? synth_camera(W, H, 70) : orl_camera_resized(&cam, W / 2, H / 2);
+        block[k] = orl_widen_block(orl_view_need(c.w, c.h));
+        if (orl_view_build(&scene, &c, &pose, 2, 1, block[k], orl_view_need(c.w, c.h), &view[k])) return -1;
+        ceiling[k] = malloc((size_t)view[k].stride * (size_t)view[k].h * ORL_HORIZON);
+        orl_view_bake(&view[k], 0, c.h, 2, ceiling[k]);
+    }
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    for (int k = 0; k < ORL_VIEWS; k++) { free(block[k]); free(ceiling[k]); }
+    synth_scene_free(&scene);
+    return scratch_remove(state);
+}
+
+static void write_file(const char *path)
+{
+    orl_view v[ORL_VIEWS];
+    memcpy(v, view, sizeof v);
+    for (int k = 0; k < ORL_VIEWS; k++) v[k].ceiling = ceiling[k];
+    assert_int_equal(orl_baked_write(path, &scene, &cam, v, NULL), ORL_OK);
+}
+
+static void sun_at(float az, float el)
+{
+    float code[ORL_CODE];
+    memcpy(code, scene.light.prior_mean, sizeof code);
+    code[ORL_C_SUN_AZ] = az;
+    code[ORL_C_SUN_EL] = el;
+    orl_light_decode(&scene.light, code, &light);
+}
+
+static void comes_back(void **state)
+{
+    (void)state;
+    orl_baked b;
+    write_file(at("v.oriel"));
+    assert_int_equal(orl_baked_open(at("v.oriel"), &b), ORL_OK);
+    assert_true(b.photo.w == cam.w && b.photo.h == cam.h && b.photo.fx == cam.fx && b.photo.cy == cam.cy);
+    assert_memory_equal(b.scene.light.prior_mean, scene.light.prior_mean, sizeof scene.light.prior_mean);
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        const orl_view *a = &view[k], *r = &b.view[k];
+        size_t n = (size_t)a->stride * (size_t)a->h;
+        assert_true(a->w == r->w && a->h == r->h && a->stride == r->stride && a->cam.fx == r->cam.fx);
+        assert_memory_equal(a->pose.R, r->pose.R, sizeof a->pose.R);
+        assert_memory_equal(a->grid_from_cam, r->grid_from_cam, sizeof a->grid_from_cam);
+        assert_memory_equal(a->phi_scale, r->phi_scale, sizeof a->phi_scale);
+        assert_memory_equal(a->normal, r->normal, n * 2);
+        for (int c = 0; c < 3; c++) assert_memory_equal(a->albedo[c], r->albedo[c], n * 2);
+        assert_memory_equal(a->open, r->open, n);
+        assert_memory_equal(a->cov, r->cov, n);
+        assert_memory_equal(a->horizon, r->horizon, n * ORL_HORIZON);
+        assert_memory_equal(a->phi, r->phi, n * ORL_SHADOW_DIM);
+        assert_memory_equal(a->depth, r->depth, n * 2);
+        assert_memory_equal(ceiling[k], r->ceiling, n * ORL_HORIZON);
+    }
+    orl_baked_close(&b);
+    orl_baked_close(&b);
+    orl_scene s;
+    assert_int_equal(orl_scene_open(at("v.oriel"), &s), ORL_OK);
+    assert_true(!s.bmap && s.view[0] && s.view[1]);
+    size_t bytes, again;
+    assert_int_equal(orl_scene_write(at("w.oriel"), &s, &bytes), ORL_OK);           /* write, read, write: the same bytes */
+    again = s.map_bytes;
+    orl_scene_close(&s);
+    assert_int_equal(bytes, again);
+}
+
+/* The share of sunny-side pixels whose sun a baked view gets wrong, over suns all around. */
+static void suns_agree(void **state)
+{
+    (void)state;
+    orl_baked b;
+    orl_view baked;
+    int wrong = 0, all = 0, shut = 0, roof = 0;
+    write_file(at("v.oriel"));
+    assert_int_equal(orl_baked_open(at("v.oriel"), &b), ORL_OK);
+    void *room = orl_widen_block(orl_view_attach_need(W, H)), *tables = orl_widen_block(orl_view_light_need());
+    assert_int_equal(orl_view_attach(&b.view[1], room, orl_view_attach_need(W, H) - 1, &baked), ORL_E_MEMORY);
+    assert_int_equal(orl_view_attach(&b.view[1], room, orl_view_attach_need(W, H), &baked), ORL_OK);
+    size_t n = (size_t)baked.stride * H;
+    uint8_t *traced = malloc(n);
+    for (size_t i = 0; i < n * ORL_HORIZON; i++) roof += baked.ceiling[i] > 0;
+    for (int i = 0; i < 24; i++) {
+        sun_at((float)i * 0.9f - 3, 0.1f + 0.055f * (float)i);
+        orl_view_light *t = orl_view_light_make(&view[1], &light, tables, orl_view_light_need());
+        orl_view_trace_sun(&view[1], &light, 0, H, 1);
+        orl_view_relight(&view[1], t, ORL_CPU_REF, 0, H);
+        memcpy(traced, view[1].vis, n);
+        t = orl_view_light_make(&baked, &light, tables, orl_view_light_need());
+        orl_view_trace_sun(&baked, &light, 0, H, 2);
+        orl_view_relight(&baked, t, ORL_CPU_REF, 0, H);
+        for (int p = 0; p < W * H; p++) {
+            orl_sample q;
+            orl_view_sample(&view[1], p % W, p / W, &q);
+            size_t k = (size_t)(p / W) * (size_t)baked.stride + (size_t)(p % W);
+            float facing = q.normal[0] * light.sun_dir[0] + q.normal[1] * light.sun_dir[1] + q.normal[2] * light.sun_dir[2];
+            if (q.cov < 1 || facing < 0.1f) continue;
+            wrong += abs(traced[k] - baked.vis[k]) > 128;
+            shut += traced[k] < 128;
+            all++;
+        }
+    }
+    print_message("%d of %d pixels wrong, %d in shadow; %d azimuths of pixels with a roof\n", wrong, all, shut, roof);
+    assert_true(all > 20000 && shut > 0.05 * all && roof > 100);
+    assert_true(wrong < 0.03 * all);
+    free(traced); free(room); free(tables);
+    orl_baked_close(&b);
+}
+
+/* A pixel with a roof over it: lit by a low sun, shut from a high one. */
+static void roofs_hide_high_suns(void **state)
+{
+    (void)state;
+    orl_view v = { .w = 32, .h = 1, .stride = 32, .cam = synth_camera(32, 1, 40) };
+    static uint16_t normal[32], albedo[32], depth[32];
+    static uint8_t open[32], cov[32], horizon[32][ORL_HORIZON], above[32][ORL_HORIZON];
+    static int8_t phi[32][ORL_SHADOW_DIM];
+    memset(cov, 255, sizeof cov);
+    memset(above[1], 170, sizeof above[1]);                 /* from 30 degrees on */
+    memset(horizon[2], 170, sizeof horizon[2]);             /* up to 60 degrees */
+    v.normal = normal; v.albedo[0] = v.albedo[1] = v.albedo[2] = albedo; v.depth = depth; v.open = open; v.cov = cov; v.horizon = horizon[0]; v.phi = phi[0]; v.ceiling = above[0];
+    for (int i = 0; i < 9; i++) v.grid_from_cam[i] = i % 4 == 0;
+    void *room = orl_widen_block(orl_view_attach_need(32, 1)), *tables = orl_widen_block(orl_view_light_need());
+    assert_int_equal(orl_view_attach(&v, room, orl_view_attach_need(32, 1), &v), ORL_OK);
+    static const struct { float el; int want[3]; } CASE[] = { { 10, { 1, 1, 0 } }, { 45, { 1, 0, 0 } }, { 75, { 1, 0, 1 } }, { 89.9f, { 1, 0, 1 } } };
+    for (size_t c = 0; c < sizeof CASE / sizeof *CASE; c++) {
+        sun_at(0.3f, CASE[c].el * 0.0174533f);
+        orl_view_light *t = orl_view_light_make(&v, &light, tables, orl_view_light_need());
+        orl_view_trace_sun(&v, &light, 0, 1, 1);
+        orl_view_relight(&v, t, ORL_CPU_REF, 0, 1);
+        for (int p = 0; p < 3; p++) {
+            orl_sample q;
+            orl_view_sample(&v, p, 0, &q);
+            if (abs(v.vis[p] - 255 * CASE[c].want[p]) > 3) fail_msg("sun at %.0f degrees, pixel %d: %d", (double)CASE[c].el, p, v.vis[p]);
+            assert_true(fabsf(orl_light_sun_visibility(&light, &q) - (float)CASE[c].want[p]) < 0.02f);
+        }
+    }
+    free(room); free(tables);
+}
+
+static void threads_agree(void **state)
+{
+    (void)state;
+    size_t n = (size_t)view[0].stride * (size_t)view[0].h * ORL_HORIZON;
+    uint8_t *other = malloc(n), *before = malloc(n);
+    memcpy(before, view[0].horizon, n);
+    orl_view_bake(&view[0], 0, view[0].h / 2, 1, other);
+    orl_view_bake(&view[0], view[0].h / 2, view[0].h, 3, other);
+    assert_memory_equal(other, ceiling[0], n);
+    assert_memory_equal(before, view[0].horizon, n);
+    free(other); free(before);
+}
+
+/* Of the file, with sound checksums: one field of a section changed. */
+static void refused(int which, size_t offset, const void *bytes, size_t n, const char *names)
+{
+    orl_scene s;
+    orl_baked b;
+    assert_int_equal(orl_scene_open(at("v.oriel"), &s), ORL_OK);
+    uint8_t *copy = malloc(s.view_bytes[which]);
+    orl_scene t = s;
+    memcpy(copy, s.view[which], s.view_bytes[which]);
+    memcpy(copy + offset, bytes, n);
+    t.view[which] = copy;
+    t.map = NULL;
+    assert_int_equal(orl_scene_write(at("x.oriel"), &t, NULL), ORL_OK);
+    memset(&b, 7, sizeof b);
+    assert_int_not_equal(orl_baked_open(at("x.oriel"), &b), ORL_OK);
+    if (!strstr(orl_error_text(), names) || !strstr(orl_error_text(), which ? "VWID" : "VPHO") || !strstr(orl_error_text(), "x.oriel")) fail_msg("'%s' does not name %s", orl_error_text(), names);
+    free(copy);
+    orl_scene_close(&s);
+}
+
+static void hostile_files(void **state)
+{
+    (void)state;
+    orl_scene s;
+    orl_baked b;
+    write_file(at("v.oriel"));
+    const int32_t zero = 0, huge = 20000, model = 9, wider = W + 32;
+    const double nan = NAN, minus = -5;
+    const float scale = INFINITY;
+    const uint16_t normal = 4096;
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        refused(k, 0, &model, 4, "lens");
+        refused(k, 4, &zero, 4, "view of");
+        refused(k, 8, &huge, 4, "view of");
+        refused(k, 4, &wider, 4, "bytes for");
+        refused(k, 12, &zero, 4, "photo of");
+        refused(k, 20, "x", 1, "reserved");
+        refused(k, 24, &nan, 8, "lens of the view");
+        refused(k, 88, &minus, 8, "lens of the photo");
+        refused(k, 152, &minus, 8, "pose");
+        refused(k, 224, &nan, 8, "pose");
+        refused(k, 248, &nan, 8, "grid");
+        refused(k, 320, &nan, 8, "grid");
+        refused(k, 344, &scale, 4, "phi_scale[0]");
+        refused(k, 384 + 2 * 5, &normal, 2, "normal of pixel 5, 0");
+    }
+    assert_int_equal(orl_scene_write(at("s.oriel"), &scene, NULL), ORL_OK);
+    assert_int_equal(orl_baked_open(at("s.oriel"), &b), ORL_E_FORMAT);
+    assert_non_null(strstr(orl_error_text(), "no baked view"));
+    assert_int_equal(orl_baked_open(at("none.oriel"), &b), ORL_E_IO);
+    assert_int_equal(orl_scene_open(at("v.oriel"), &s), ORL_OK);
+    orl_scene half = s;
+    half.view[1] = NULL;
+    assert_int_equal(orl_scene_write(at("y.oriel"), &half, NULL), ORL_E_FORMAT);            /* one view alone */
+    half = scene;
+    memcpy(half.view, s.view, sizeof half.view);
+    memcpy(half.view_bytes, s.view_bytes, sizeof half.view_bytes);
+    assert_int_equal(orl_scene_write(at("y.oriel"), &half, NULL), ORL_E_FORMAT);            /* views beside a surface */
+    half = s;
+    half.view_bytes[0] = 100;
+    half.map = NULL;
+    assert_int_equal(orl_scene_write(at("y.oriel"), &half, NULL), ORL_OK);
+    assert_int_equal(orl_baked_open(at("y.oriel"), &b), ORL_E_FORMAT);
+    assert_non_null(strstr(orl_error_text(), "VPHO: 100 bytes"));
+    orl_scene_close(&s);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = { cmocka_unit_test(comes_back), cmocka_unit_test(suns_agree), cmocka_unit_test(roofs_hide_high_suns), cmocka_unit_test(threads_agree), cmocka_unit_test(hostile_files) };
+    return cmocka_run_group_tests(tests, set_up, tear_down);
+}
