@@ -11,6 +11,7 @@ int orl_cmd_info(int argc, char **argv);
 int orl_cmd_extend(int argc, char **argv);
 int orl_cmd_relight(int argc, char **argv);
 int orl_cmd_bake(int argc, char **argv);
+int orl_cmd_bench(int argc, char **argv);
 int orl_cmd_run(int argc, char **argv);
 
 enum { ORL_EXIT_DONE = 0, ORL_EXIT_FAILED = 1, ORL_EXIT_USAGE = 2 };

@@ -14,6 +14,7 @@ static const struct { const char *name, *what; int (*run)(int, char **); } COMMA
     { "relight", "the scene under a chosen sky, or over a day", orl_cmd_relight },
     { "bake", "a fixed camera's views, made once for `run --view`", orl_cmd_bake },
     { "run", "camera loop: source -> widened pictures -> sink", orl_cmd_run },
+    { "bench", "run time against error, per view, kernel and stage", orl_cmd_bench },
 };
 enum { COUNT = sizeof COMMANDS / sizeof *COMMANDS };
 

@@ -1,0 +1,290 @@
+/* `oriel bench`: run time beside error and beside memcpy of the same bytes, on a scene's own views and clip. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include "oriel/cpu.h"
+#include "oriel/light.h"
+#include "oriel/source.h"
+#include "runtime/baked.h"
+#include "runtime/commands.h"
+#include "runtime/kernels/shade.h"
+#include "runtime/widen.h"
+
+static const char HELP[] =
+    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE) [OPTION]...\n"
+    "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a camera loop. One thread; best of several runs; ratios are taken in one run.\n\n"
+    "  --scene FILE     scene file made by oriel-train\n"
+    "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
+    "  --view FILE      instead of both: baked views; nothing is marched\n"
+    "  --source SOURCE  replay:PATH: also the stages of `oriel run` on these pictures\n"
+    "  --frames N       of them; all\n"
+    "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
+    "  --size WxH       size of the wide picture\n"
+    "  --json           one object a row\n"
+    "  --help           this text\n\n"
+    "Columns: milliseconds; times memcpy of as many bytes, reads and writes counted on both sides; dB against the float model on the same view.\n";
+
+enum { RUNS = 5 };
+static const char *const VARIANT[] = {
+#define NAME(n) n,
+    ORL_KERNEL_VARIANTS(NAME)
+#undef NAME
+};
+enum { VARIANTS = sizeof VARIANT / sizeof *VARIANT };
+
+typedef struct {
+    const char *scene, *baked, *source;
+    orl_view_request view;
+    int frames, json;
+} options;
+
+/* ---- rows */
+
+/* NAN, 0: the row has none. */
+typedef struct { const char *name, *variant; double seconds, error_db; size_t bytes; } row;
+
+/* Seconds of a memcpy that reads and writes `bytes` in all, the best of a few. NAN without memory. */
+static double copy_seconds(size_t bytes)
+{
+    size_t n = bytes / 2;
+    uint8_t *a = malloc(n + 1), *b = malloc(n + 1);
+    double best = NAN;
+    for (int i = 0; a && b && i < RUNS; i++) {
+        memset(a, i, n);
+        double t = orl_seconds();
+        memcpy(b, a, n);
+        __asm__ volatile("" : : "r"(b) : "memory");
+        t = orl_seconds() - t;
+        best = t < best || isnan(best) ? t : best;
+    }
+    free(a);
+    free(b);
+    return best;
+}
+
+static void say(const options *o, const row *r)
+{
+    double ratio = r->bytes ? r->seconds / copy_seconds(r->bytes) : NAN;
+    if (o->json) {
+        printf("{\"name\": \"%s%s%s\", \"seconds\": %.6g", r->name, r->variant ? " " : "", r->variant ? r->variant : "", r->seconds);
+        if (r->bytes) printf(", \"bytes\": %zu", r->bytes);
+        if (isfinite(ratio)) printf(", \"ratio\": %.3g, \"against\": \"memcpy\"", ratio);
+        if (isfinite(r->error_db)) printf(", \"error_db\": %.2f", r->error_db);
+        printf("}\n");
+    } else {
+        printf("%-28s %-8s %10.3f ms", r->name, r->variant ? r->variant : "", 1e3 * r->seconds);
+        if (isfinite(ratio)) printf("  %7.2f x memcpy of %.1f MB", ratio, (double)r->bytes * 1e-6);
+        if (isfinite(r->error_db)) printf("  %6.2f dB", r->error_db);
+        printf("\n");
+    }
+    fflush(stdout);
+}
+
+/* ---- kernels on a view */
+
+/* The float model on the view's own pixels, in 8 bits as the kernels write them. */
+static void reference(const orl_view *v, const orl_light *l, uint8_t *rgb)
+{
+    for (int i = 0; i < v->w * v->h; i++) {
+        orl_sample s;
+        float c[3];
+        orl_view_sample(v, i % v->w, i / v->w, &s);
+        orl_light_shade(l, &s, c);
+        for (int k = 0; k < 3; k++) rgb[3 * i + k] = (uint8_t)(c[k] > 0 ? c[k] < 1 ? c[k] * 255 + 0.5f : 255 : 0);
+    }
+}
+
+static double psnr(const uint8_t *a, const uint8_t *b, size_t n)
+{
+    double sum = 0;
+    for (size_t i = 0; i < n; i++) sum += (double)(a[i] - b[i]) * (a[i] - b[i]);
+    return sum > 0 ? 10 * log10(255.0 * 255 * (double)n / sum) : 99;
+}
+
+static orl_err kernels(const options *o, orl_view *v, const orl_light *l)
+{
+    size_t n = (size_t)v->w * (size_t)v->h, padded = (size_t)v->stride * (size_t)v->h;
+    void *block = orl_widen_block(orl_view_light_need());
+    uint8_t *rgb = malloc(3 * n), *want = malloc(3 * n);
+    orl_view_light *t = NULL;
+    double best[3] = { INFINITY, INFINITY, INFINITY };
+    orl_err e = block && rgb && want ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for pictures of %d x %d", v->w, v->h);
+    for (int i = 0; !e && i < RUNS; i++) {
+        double a = orl_seconds();
+        t = orl_view_light_make(v, l, block, orl_view_light_need());
+        double b = orl_seconds();
+        if (!i) orl_view_trace_sun(v, l, 0, v->h, 1);
+        double c = orl_seconds();
+        best[0] = fmin(best[0], b - a);
+        if (!i) best[1] = c - b;
+    }
+    if (!e) {
+        say(o, &(row){ "tables of a light", NULL, best[0], NAN, 0 });
+        say(o, &(row){ v->ceiling ? "sun, looked up" : "sun, traced", NULL, best[1], NAN, v->ceiling ? padded * (2 * ORL_HORIZON + 1) : 0 });
+        reference(v, l, want);
+    }
+    for (int k = 0; !e && k < VARIANTS; k++) {
+        unsigned cpu;
+        double relight = INFINITY, shade = INFINITY;
+        if (orl_cpu_from_name(VARIANT[k], &cpu)) continue;
+        for (int i = 0; i < RUNS; i++) {
+            double a = orl_seconds();
+            orl_view_relight(v, t, cpu, 0, v->h);
+            double b = orl_seconds();
+            orl_view_shade(v, t, cpu, 0, v->h, rgb, 3 * (size_t)v->w);
+            double c = orl_seconds();
+            relight = fmin(relight, b - a);
+            shade = fmin(shade, c - b);
+        }
+        say(o, &(row){ "sun visibility", VARIANT[k], relight, NAN, padded * (ORL_HORIZON + 2) });
+        say(o, &(row){ "shadow, shade, tone", VARIANT[k], shade, psnr(rgb, want, 3 * n), padded * (2 + 6 + 1 + 1 + 1 + ORL_SHADOW_DIM) + 3 * n });
+    }
+    free(block);
+    free(rgb);
+    free(want);
+    return e;
+}
+
+/* ---- views */
+
+static orl_err march(const options *o, const orl_scene *s, const orl_view_pose *to)
+{
+    size_t need = orl_view_need(to->cam.w, to->cam.h);
+    void *block = orl_widen_block(need);
+    orl_err e = block ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to->cam.w, to->cam.h);
+    for (int ss = 1; !e && ss <= 2; ss++) {
+        orl_view v;
+        double a = orl_seconds();
+        e = orl_view_build(s, &to->cam, &to->pose, ss, 1, block, need, &v);
+        if (!e) say(o, &(row){ ss == 1 ? "view, 1 ray a pixel" : "view, 4 rays a pixel", NULL, orl_seconds() - a, NAN, 0 });
+    }
+    free(block);
+    return e;
+}
+
+/* ---- the camera loop */
+
+enum { CONVERT, COLD, WARM, RENDER, STAGES };
+
+static orl_err loop(const options *o, orl_widen *w, orl_source *source)
+{
+    double sum[STAGES] = { 0 }, most = 0;
+    size_t bytes = (size_t)source->info.w * (size_t)source->info.h * 3;
+    uint8_t *photo = malloc(bytes), *wide = malloc((size_t)w->wide.w * (size_t)w->wide.h * 3);
+    orl_frame f;
+    int n = 0, got;
+    orl_err e = photo && wide ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for pictures");
+    while (!e && (!o->frames || n < o->frames) && (got = orl_source_next(source, &f))) {
+        if (got < 0) continue;
+        double t[4];
+        t[0] = orl_seconds();
+        orl_frame_to_rgb(&source->info, &f, 0, source->info.h, photo, (size_t)source->info.w * 3);
+        t[1] = orl_seconds();
+        e = orl_widen_adapt(w, photo);
+        t[2] = orl_seconds();
+        if (!e) e = orl_widen_render(w, photo, wide);
+        t[3] = orl_seconds();
+        sum[CONVERT] += t[1] - t[0];
+        sum[n ? WARM : COLD] += t[2] - t[1];
+        if (n) most = fmax(most, t[2] - t[1]);
+        sum[RENDER] += t[3] - t[2];
+        n++;
+    }
+    free(photo);
+    free(wide);
+    if (!e && n < 2) e = orl_fail(ORL_E_FORMAT, "%s: two pictures are wanted", o->source);
+    if (e) return e;
+    say(o, &(row){ "picture: convert", NULL, sum[CONVERT] / n, NAN, 0 });
+    say(o, &(row){ "light: first picture", NULL, sum[COLD], NAN, 0 });
+    say(o, &(row){ "light: from the last one's", NULL, sum[WARM] / (n - 1), NAN, 0 });
+    say(o, &(row){ "light: the slowest of these", NULL, most, NAN, 0 });
+    say(o, &(row){ "render: shade, tone, blend", NULL, sum[RENDER] / n, NAN, 0 });
+    say(o, &(row){ "a picture in all", NULL, (sum[CONVERT] + sum[WARM] + sum[RENDER]) / n, NAN, 0 });
+    return ORL_OK;
+}
+
+static orl_err bench(const options *o)
+{
+    orl_scene scene = { 0 };
+    orl_baked baked = { 0 };
+    orl_source *source = NULL;
+    orl_view_pose from, to;
+    orl_widen w;
+    orl_light *light = malloc(sizeof *light);
+    void *block = NULL;
+    size_t need = 0;
+    orl_err e = !light ? orl_fail(ORL_E_MEMORY, "no memory") : o->baked ? orl_baked_open(o->baked, &baked) : orl_place_open(o->scene, &scene);
+    if (!e && o->source) e = orl_source_open(o->source, &source);
+    if (!e && o->baked) {
+        from = (orl_view_pose){ .cam = baked.photo, .pose = baked.view[0].pose };
+        to = (orl_view_pose){ .cam = baked.view[1].cam, .pose = baked.view[1].pose };
+        if (source) e = orl_camera_fit(&from.cam, o->source, source->info.w, source->info.h);
+    } else if (!e) e = orl_views_find(&o->view, o->source ? o->source : o->view.pose, source ? source->info.w : 0, source ? source->info.h : 0, &from, &to);
+    if (!e && !o->baked) e = march(o, &scene, &to);
+    if (!e) {
+        orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose,
+                               .blend = 1, .threads = 1, .cpu = orl_cpu_detect() };
+        need = orl_widen_need(&c);
+        block = orl_widen_block(need);
+        e = block ? orl_widen_init(&c, block, need, &w) : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to.cam.w, to.cam.h);
+    }
+    if (!e) {
+        orl_light_decode(&w.config.scene->light, w.config.scene->ncodes ? w.config.scene->codes : w.config.scene->light.prior_mean, light);
+        e = kernels(o, &w.wide, light);
+    }
+    if (!e && source) e = loop(o, &w, source);
+    if (!e) {
+        struct rusage u;
+        getrusage(RUSAGE_SELF, &u);
+        size_t mapped = o->baked ? baked.scene.map_bytes : scene.map_bytes;
+        if (o->json) printf("{\"name\": \"memory\", \"bytes\": %zu, \"file_bytes\": %zu, \"peak_bytes\": %llu, \"pixels\": %d}\n", need, mapped, 1024ull * (unsigned long long)u.ru_maxrss, to.cam.w * to.cam.h);
+        else printf("memory: %.1f MB for views of %d x %d and light, beside a file of %.1f MB; %.1f MB at the most\n", (double)need * 1e-6, to.cam.w, to.cam.h, (double)mapped * 1e-6, (double)u.ru_maxrss / 1024);
+    }
+    orl_source_close(source);
+    free(block);
+    free(light);
+    orl_scene_close(&scene);
+    orl_baked_close(&baked);
+    return e;
+}
+
+static int parse(int argc, char **argv, options *o)
+{
+    static const struct option TABLE[] = {
+        { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' },
+        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' }, { "help", no_argument, NULL, 'h' }, { 0 } };
+    int first = 1;
+    orl_err e = ORL_OK;
+    for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        switch (c) {
+        case 's': o->scene = optarg; break;
+        case 'p': o->view.pose = optarg; break;
+        case 'v': o->baked = optarg; break;
+        case 'S': o->source = optarg; break;
+        case 'n': e = orl_option_int("--frames", optarg, 2, 1 << 30, &o->frames); break;
+        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
+        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
+        case 'j': o->json = 1; break;
+        case 'h': printf("%s", HELP); return -1;
+        default:
+            if (c == 'o') orl_fail(ORL_E_RANGE, "unknown option -o");
+            return ORL_EXIT_USAGE;
+        }
+    }
+    if (e) return ORL_EXIT_USAGE;
+    if (argc != optind || (o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
+        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose");
+        return ORL_EXIT_USAGE;
+    }
+    return ORL_EXIT_DONE;
+}
+
+int orl_cmd_bench(int argc, char **argv)
+{
+    options o = { .view.otherwise = 1.8 };
+    int code = parse(argc, argv, &o);
+    if (code) return code < 0 ? ORL_EXIT_DONE : code;
+    return bench(&o) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
+}
