@@ -7,7 +7,7 @@
 #include "oriel/parallel.h"
 #include "runtime/arena.h"
 
-enum { SMALL_SIDE = 200, SAMPLES = 3000, CANDIDATES = 2, TRACES = 2, BANDS = 32 };    /* TRACES: of a sun that was just found, each followed by a better one; BANDS: frames that a creeping sun's trace takes */
+enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 };    /* TRACES: of a sun that was just found, each followed by a better one; BANDS: frames that a creeping sun's trace takes */
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
 #define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
