@@ -9,8 +9,9 @@
 #include <string.h>
 #include "oriel/parallel.h"
 #include "runtime/arena.h"
+#include "runtime/kernels/shade.h"
 
-enum { CELLS = 64, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };
+enum { CELLS = 64, CELL_STEP = 2 * ORL_MIX_STEP, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };     /* cells' middles stand between the kernel's steps */
 #define FEATHER 0.03        /* of the photo's short side */
 #define BAND    3.0         /* seam colours are taken this many feathers deep */
 #define REACH   0.12        /* a correction has halved at this distance from the photo, in short sides */
@@ -28,7 +29,8 @@ struct orl_blend {
     uint8_t *warped;                    /* [pixel][3] */
     int64_t *sum;                       /* [layer][cell][4]: three differences and their weight */
     int32_t *fade;                      /* [cell] Q8 */
-    int32_t *column;                    /* [w][2] left cell, Q8 fraction */
+    uint8_t *cell_of;                   /* [w / ORL_MIX_STEP] left cell */
+    int16_t *share;                     /* [w] of the right one, Q15 */
     level pyramid[LAYERS][LEVELS];
     const uint8_t *photo;
     uint8_t *wide;
@@ -43,7 +45,7 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     int side = w > h ? w : h;
     b->w = w;
     b->h = h;
-    b->cell = side / CELLS > 4 ? (side + CELLS - 1) / CELLS : 4;
+    b->cell = ((side + CELLS - 1) / CELLS + CELL_STEP - 1) / CELL_STEP * CELL_STEP;
     b->gw = (w + b->cell - 1) / b->cell;
     b->gh = (h + b->cell - 1) / b->cell;
     b->x0 = orl_arena_take(a, (size_t)h * sizeof *b->x0);
@@ -56,7 +58,8 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     size_t cells = (size_t)b->gw * (size_t)b->gh;
     b->sum = orl_arena_take(a, LAYERS * cells * 4 * sizeof *b->sum);
     b->fade = orl_arena_take(a, cells * sizeof *b->fade);
-    b->column = orl_arena_take(a, (size_t)w * 2 * sizeof *b->column);
+    b->cell_of = orl_arena_take(a, (size_t)w / ORL_MIX_STEP + 1);
+    b->share = orl_arena_take(a, (size_t)w * sizeof *b->share);
     for (int k = 0; k < LAYERS; k++) {
         int gw = b->gw, gh = b->gh;
         for (b->levels = 0; b->levels < LEVELS; ) {
@@ -197,10 +200,10 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     b->inverse = (((uint64_t)1 << 40) + area / 2) / area;
     for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
     for (int x = 0; x < b->w; x++) {
-        int q = ((2 * x + 1) * 128) / b->cell - 128;
-        q = clampi(q, 0, (b->gw - 1) * 256);
-        b->column[2 * x] = clampi(q >> 8, 0, b->gw > 1 ? b->gw - 2 : 0);
-        b->column[2 * x + 1] = b->gw > 1 ? q - b->column[2 * x] * 256 : 0;
+        int step = x / ORL_MIX_STEP * ORL_MIX_STEP, left = step < b->cell / 2 ? 0 : (step - b->cell / 2) / b->cell;
+        left = b->gw > 1 ? clampi(left, 0, b->gw - 2) : 0;
+        b->cell_of[x / ORL_MIX_STEP] = (uint8_t)left;
+        b->share[x] = (int16_t)clampi((2 * x + 1 - (2 * left + 1) * b->cell) * 16384 / b->cell, 0, 32767);
     }
     place(b, photo, wide, turn, mask);
     set_fade(b, photo, wide, turn);
@@ -321,42 +324,45 @@ static void spread(orl_blend *b)
     }
 }
 
+typedef struct { orl_blend *b; orl_kernels k; } mix_job;
+
 static void mix(void *user, int begin, int end)
 {
-    orl_blend *b = user;
+    const mix_job *j = user;
+    const orl_blend *b = j->b;
+    int16_t cell[CELLS + 1][3][2];
     for (int y = begin; y < end; y++) {
         int q = clampi(((2 * y + 1) * 128) / b->cell - 128, 0, (b->gh - 1) * 256), cy = clampi(q >> 8, 0, b->gh > 1 ? b->gh - 2 : 0), fy = b->gh > 1 ? q - cy * 256 : 0;
-        int right = b->gw > 1, down = b->gh > 1 ? b->gw : 0;
-        for (int x = 0; x < b->w; x++) {
-            size_t i = (size_t)y * (size_t)b->w + (size_t)x;
-            int at = cy * b->gw + b->column[2 * x], fx = b->column[2 * x + 1], weight = b->weight[i], surface = b->layer[i];
-            uint8_t *o = b->wide + 3 * i;
-            const uint8_t *p = b->warped + 3 * i;
-            if (weight == 255) {
-                memcpy(o, p, 3);
-                continue;
+        for (int k = 0; k < LAYERS; k++)
+            for (int c = 0; c < 3; c++) {           /* down between cells; the kernel goes along them */
+                const int32_t *top = b->pyramid[k][0].value[c] + cy * b->gw, *low = b->gh > 1 ? top + b->gw : top;
+                for (int x = 0; x < b->gw; x++) cell[x][c][k] = (int16_t)((top[x] * (256 - fy) + low[x] * fy + 64) >> 7);
+                cell[b->gw][c][k] = cell[b->gw - 1][c][k];
             }
-            for (int c = 0; c < 3; c++) {
-                int add = 0;
-                for (int k = 0; k < LAYERS; k++) {
-                    int share = k ? surface : 255 - surface;
-                    if (!share) continue;
-                    const int32_t *v = b->pyramid[k][0].value[c] + at;
-                    int top = v[0] * (256 - fx) + v[right] * fx, low = v[down] * (256 - fx) + v[down + right] * fx;
-                    add += (top * (256 - fy) + low * fy) / (1 << 12) * share;      /* Q8 levels times 0..255: below 2^24 */
-                }
-                int render = clampi(o[c] + (add + 255 * 128 + 255 * 65536) / (255 * 256) - 256, 0, 255);
-                o[c] = (uint8_t)(weight ? (p[c] * weight + render * (255 - weight) + 127) / 255 : render);
-            }
-        }
+        size_t i = (size_t)y * (size_t)b->w;
+        int n = b->w / ORL_MIX_STEP * ORL_MIX_STEP, rest = b->w - n;
+        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of, b->share, b->layer + i, b->weight + i, b->warped + 3 * i }, n, b->wide + 3 * i);
+        if (!rest) continue;
+        uint8_t layer[ORL_MIX_STEP] = { 0 }, weight[ORL_MIX_STEP] = { 0 }, photo[3 * ORL_MIX_STEP] = { 0 }, rgb[3 * ORL_MIX_STEP] = { 0 };
+        int16_t share[ORL_MIX_STEP] = { 0 };
+        i += (size_t)n;
+        memcpy(layer, b->layer + i, (size_t)rest);
+        memcpy(weight, b->weight + i, (size_t)rest);
+        memcpy(share, b->share + n, (size_t)rest * sizeof *share);
+        memcpy(photo, b->warped + 3 * i, 3 * (size_t)rest);
+        memcpy(rgb, b->wide + 3 * i, 3 * (size_t)rest);
+        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of + n / ORL_MIX_STEP, share, layer, weight, photo }, ORL_MIX_STEP, rgb);
+        memcpy(b->wide + 3 * i, rgb, 3 * (size_t)rest);
     }
 }
 
-void orl_blend_apply(orl_blend *b, const uint8_t *photo, uint8_t *wide, int threads)
+void orl_blend_apply(orl_blend *b, const uint8_t *photo, uint8_t *wide, unsigned cpu, int threads)
 {
+    mix_job j = { .b = b };
+    orl_kernels_init(&j.k, cpu);
     b->photo = photo;
     b->wide = wide;
     orl_parallel(threads, b->gh, 1, measure, b);
     spread(b);
-    orl_parallel(threads, b->h, 16, mix, b);
+    orl_parallel(threads, b->h, 16, mix, &j);
 }

@@ -103,13 +103,13 @@ static double psnr(const uint8_t *a, const uint8_t *b, size_t n)
     return sum > 0 ? 10 * log10(255.0 * 255 * (double)n / sum) : 99;
 }
 
-static orl_err kernels(const options *o, orl_view *v, const orl_light *l)
+static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_blend *blend, const uint8_t *photo, size_t photo_bytes)
 {
     size_t n = (size_t)v->w * (size_t)v->h, padded = (size_t)v->stride * (size_t)v->h;
     void *block = orl_widen_block(orl_view_light_need());
     uint8_t *rgb = malloc(3 * n), *want = malloc(3 * n);
     orl_view_light *t = NULL;
-    double best[3] = { INFINITY, INFINITY, INFINITY };
+    double best[2] = { INFINITY, INFINITY };
     orl_err e = block && rgb && want ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for pictures of %d x %d", v->w, v->h);
     for (int i = 0; !e && i < RUNS; i++) {
         double a = orl_seconds();
@@ -127,7 +127,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l)
     }
     for (int k = 0; !e && k < VARIANTS; k++) {
         unsigned cpu;
-        double relight = INFINITY, shade = INFINITY;
+        double relight = INFINITY, shade = INFINITY, laid = INFINITY;
         if (orl_cpu_from_name(VARIANT[k], &cpu)) continue;
         for (int i = 0; i < RUNS; i++) {
             double a = orl_seconds();
@@ -138,8 +138,15 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l)
             relight = fmin(relight, b - a);
             shade = fmin(shade, c - b);
         }
+        double error_db = psnr(rgb, want, 3 * n);
+        for (int i = 0; i < RUNS; i++) {
+            double a = orl_seconds();
+            orl_blend_apply(blend, photo, rgb, cpu, 1);
+            laid = fmin(laid, orl_seconds() - a);
+        }
         say(o, &(row){ "sun visibility", VARIANT[k], relight, NAN, padded * (ORL_HORIZON + 2) });
-        say(o, &(row){ "shadow, shade, tone", VARIANT[k], shade, psnr(rgb, want, 3 * n), padded * (2 + 6 + 1 + 1 + 1 + ORL_SHADOW_DIM) + 3 * n });
+        say(o, &(row){ "shadow, shade, tone", VARIANT[k], shade, error_db, padded * (2 + 6 + 1 + 1 + 1 + ORL_SHADOW_DIM) + 3 * n });
+        say(o, &(row){ "blend", VARIANT[k], laid, NAN, photo_bytes + n * (3 + 3 + 2) });
     }
     free(block);
     free(rgb);
@@ -232,7 +239,9 @@ static orl_err bench(const options *o)
     }
     if (!e) {
         orl_light_decode(&w.config.scene->light, w.config.scene->ncodes ? w.config.scene->codes : w.config.scene->light.prior_mean, light);
-        e = kernels(o, &w.wide, light);
+        uint8_t *photo = calloc((size_t)from.cam.w * (size_t)from.cam.h, 3);
+        e = photo ? kernels(o, &w.wide, light, w.blend, photo, 3 * (size_t)from.cam.w * (size_t)from.cam.h) : orl_fail(ORL_E_MEMORY, "no memory");
+        free(photo);
     }
     if (!e && source) e = loop(o, &w, source);
     if (!e) {

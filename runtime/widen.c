@@ -294,6 +294,6 @@ orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out)
     shading s = { w, out };
     if (!w->tables) return orl_fail(ORL_E_DEGENERATE, "widen: no light yet");
     orl_parallel(w->config.threads, w->wide.h, 16, shade, &s);
-    if (w->blend) orl_blend_apply(w->blend, photo, out, w->config.threads);
+    if (w->blend) orl_blend_apply(w->blend, photo, out, w->config.cpu, w->config.threads);
     return ORL_OK;
 }

@@ -4,7 +4,7 @@
 #include <string.h>
 #include "runtime/kernels/shade.h"
 
-enum { KD_N = 1024, KD_NODES = KD_N / 16 + 2, KD_GUARD = 64 };
+enum { KD_CELLS = 40, KD_N = 1024, KD_NODES = KD_N / 16 + 2, KD_GUARD = 64 };
 typedef enum { KD_RANDOM, KD_LOW, KD_HIGH, KD_MODES } kd_mode;
 
 typedef struct {
@@ -15,6 +15,8 @@ typedef struct {
     int8_t phi[KD_N * 8];
     int16_t s[KD_N], sky[KD_NODES][4];
     int sky_log2;
+    int16_t cell[KD_CELLS + 1][3][2], share[KD_N];
+    uint8_t cell_of[KD_N / ORL_MIX_STEP], photo[3 * KD_N], render[3 * KD_N];
 } kernel_data;
 
 static inline uint32_t kd_next(uint64_t *r) { *r = *r * 6364136223846793005u + 1442695040888963407u; return (uint32_t)(*r >> 33); }
@@ -61,10 +63,21 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
     }
     for (int i = 0; i < KD_NODES; i++) for (int c = 0; c < 3; c++) d->sky[i][c] = (int16_t)(m == KD_RANDOM ? kd_in(&r, m, -4096, 28590) : (i + c) & 1 ? -4096 : 28590);
     d->sky_log2 = kd_in(&r, m, 4, 10);
+    for (int i = 0; i <= KD_CELLS; i++) for (int c = 0; c < 3; c++) for (int k = 0; k < 2; k++) d->cell[i][c][k] = (int16_t)(m == KD_RANDOM ? kd_in(&r, m, -8160, 8160) : (i + c + k) & 1 ? -8160 : 8160);
+    for (int i = 0; i < KD_N; i++) d->share[i] = (int16_t)kd_in(&r, m, 0, 32767);
+    for (int i = 0; i < KD_N / ORL_MIX_STEP; i++) d->cell_of[i] = (uint8_t)kd_in(&r, m, 0, KD_CELLS - 1);
+    for (int i = 0; i < 3 * KD_N; i++) {
+        d->photo[i] = (uint8_t)kd_in(&r, m, 0, 255);
+        d->render[i] = (uint8_t)kd_in(&r, m, 0, 255);
+    }
 }
 
 static inline orl_shade_in kd_in_struct(const kernel_data *d, int x)
 {
     return (orl_shade_in){ d->normal + x, { d->albedo[0] + x, d->albedo[1] + x, d->albedo[2] + x }, d->open + x, d->cov + x, d->vis + x, d->s + x, (const int16_t (*)[4])d->sky, d->sky_log2, x };
+}
+static inline orl_mix_in kd_mix_struct(const kernel_data *d, int x)        /* layers and shares of the photo: openness and coverage will do */
+{
+    return (orl_mix_in){ (const int16_t (*)[3][2])d->cell, d->cell_of + x / ORL_MIX_STEP, d->share + x, d->open + x, d->cov + x, d->photo + 3 * x };
 }
 #endif

@@ -16,7 +16,7 @@ static const char *const variants[] = {
 };
 enum { VARIANTS = sizeof variants / sizeof *variants };
 
-typedef struct { uint8_t before[KD_GUARD], vis[KD_N], b1[KD_GUARD]; int16_t s[KD_N]; uint8_t b2[KD_GUARD], rgb[KD_N * 3], after[KD_GUARD]; } output;
+typedef struct { uint8_t before[KD_GUARD], vis[KD_N], b1[KD_GUARD]; int16_t s[KD_N]; uint8_t b2[KD_GUARD], rgb[KD_N * 3], b3[KD_GUARD], mixed[KD_N * 3], after[KD_GUARD]; } output;
 
 static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output *o)
 {
@@ -25,6 +25,9 @@ static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output
     k->vis(d->horizon + 16 * x, &d->vis_tab, n, o->vis);
     k->shadow(d->phi + 8 * x, &d->tab, n, o->s);
     k->shade(&in, &d->tab, n, o->rgb);
+    orl_mix_in mix = kd_mix_struct(d, x);
+    memcpy(o->mixed, d->render + 3 * x, 3 * (size_t)n);
+    k->mix(&mix, n, o->mixed);
 }
 
 static void compare(kernel_data *d, output *ref, output *got, int x, int n)
@@ -32,8 +35,8 @@ static void compare(kernel_data *d, output *ref, output *got, int x, int n)
     orl_kernels k;
     orl_kernels_init(&k, ORL_CPU_REF);
     run(&k, d, x, n, ref);
-    for (size_t i = 0; i < sizeof ref->before; i++) assert_true(ref->before[i] == 0xa5 && ref->b1[i] == 0xa5 && ref->b2[i] == 0xa5 && ref->after[i] == 0xa5);
-    if (n < KD_N) assert_true(ref->vis[n] == 0xa5 && (uint16_t)ref->s[n] == 0xa5a5 && ref->rgb[3 * n] == 0xa5);
+    for (size_t i = 0; i < sizeof ref->before; i++) assert_true(ref->before[i] == 0xa5 && ref->b1[i] == 0xa5 && ref->b2[i] == 0xa5 && ref->b3[i] == 0xa5 && ref->after[i] == 0xa5);
+    if (n < KD_N) assert_true(ref->vis[n] == 0xa5 && (uint16_t)ref->s[n] == 0xa5a5 && ref->rgb[3 * n] == 0xa5 && ref->mixed[3 * n] == 0xa5);
     for (int v = 0; v < VARIANTS; v++) {
         unsigned cpu;
         if (orl_cpu_from_name(variants[v], &cpu)) continue;
@@ -76,6 +79,21 @@ static void test_vis_is_smoothstep(void **state)
     }
 }
 
+/* No correction and no photo: the render; the photo's whole share: the photo; half a correction between two cells. */
+static void test_mix_is_exact(void **state)
+{
+    (void)state;
+    static const int16_t cell[2][3][2] = { { { 0, 0 }, { 0, 320 }, { -320, 0 } }, { { 0, 0 }, { 0, 960 }, { -960, 0 } } };      /* 0; +10 and +30 levels on the surface; -10 and -30 in the sky */
+    const uint8_t cell_of[1] = { 0 }, layer[8] = { 255, 255, 255, 255, 0, 0, 0, 0 }, weight[8] = { 0, 255, 0, 128, 0, 255, 0, 0 };
+    const int16_t share[8] = { 0, 0, 16384, 0, 0, 0, 16384, 32767 };
+    uint8_t rgb[24], photo[24];
+    for (int i = 0; i < 24; i++) { rgb[i] = (uint8_t)(100 + i); photo[i] = (uint8_t)(10 * i); }
+    orl_mix_ref(&(orl_mix_in){ cell, cell_of, share, layer, weight, photo }, 8, rgb);
+    const int want[24] = { 100, 111, 102, 30, 40, 50, 106, 127, 108, (90 * 128 + 109 * 127 + 127) / 255, (100 * 128 + 120 * 127 + 127) / 255, (110 * 128 + 111 * 127 + 127) / 255,
+                           112, 113, 104, 150, 160, 170, 118, 119, 100, 121, 122, 93 };
+    for (int i = 0; i < 24; i++) if (abs(rgb[i] - want[i]) > (i % 3 && weight[i / 3] < 255)) fail_msg("byte %d: %d, not %d", i, rgb[i], want[i]);
+}
+
 static void test_unknown_cpu(void **state)
 {
     (void)state;
@@ -89,6 +107,6 @@ static void test_unknown_cpu(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(test_bits), cmocka_unit_test(test_vis_is_smoothstep), cmocka_unit_test(test_unknown_cpu) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(test_bits), cmocka_unit_test(test_vis_is_smoothstep), cmocka_unit_test(test_mix_is_exact), cmocka_unit_test(test_unknown_cpu) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

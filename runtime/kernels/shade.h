@@ -1,4 +1,4 @@
-/* Re-lighting kernels: formats, ranges, tables, variants. The equation is oriel/light.h's; here it stands in integers.
+/* Re-lighting and blending kernels: formats, ranges, tables, variants. The equations are oriel/light.h's and oriel/blend.h's; here they stand in integers.
  *
  * mul(a, b) is NEON's vqrdmulh on 16 bits (AVX2's mulhrs): (a b + 2^14) >> 15, b >= 0 throughout, so that the one case where the two differ never occurs.
  * q15(v) of a byte v is (v << 7) + (v >> 1): 255 -> 32767. add is saturating. x >>r k is a rounding shift: (x + 2^(k-1)) >> k, k = 0: x.
@@ -15,9 +15,12 @@
  *           p = y + mul(e - y, q15(cov))                                             Q13
  *           rgb = clamp((sum tone_ck p_k + tone_b_c) >> 17, 0, 255)                  tone Q12 x 255/256, tone_b Q17 of a grey level, 2^16 for rounding included
  *   LUT(i, f) = base_i + mul(delta_i, f)
+ *   mix     l_k = a_k + (2 (b_k - a_k) share >> 16)                                  correction of layer k between two cells, Q5 levels; shares Q15; x >> k rounds down
+ *           r = clamp(render + ((l_0 + (2 (l_1 - l_0) q15(layer) >> 16) + 16) >> 5), 0, 255)
+ *           m = photo weight + r (255 - weight) + 128, rgb = (m + (m >> 8)) >> 8     the quotient by 255, rounded: exact
  *
  * k is the largest of 4 .. 20 at which sun + sky + ground of no palette entry leaves 15 bits: a bright sun costs low bits of the shade, never saturates below 2000 x white.
- * All lengths are multiples of ORL_KERNEL_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. */
+ * All lengths are multiples of ORL_KERNEL_STEP, mix's of ORL_MIX_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. */
 #ifndef RUNTIME_KERNELS_SHADE_H
 #define RUNTIME_KERNELS_SHADE_H
 #include <stdint.h>
@@ -25,7 +28,7 @@
 #include "oriel/light.h"
 
 enum {
-    ORL_KERNEL_STEP = 16,
+    ORL_KERNEL_STEP = 16, ORL_MIX_STEP = 8,
     ORL_PAL_SIDE = 64, ORL_PAL = ORL_PAL_SIDE * ORL_PAL_SIDE,   /* entry of (i, j): j * 64 + i, direction orl_oct_dir((i + 0.5) / 32 - 1, (j + 0.5) / 32 - 1) */
     ORL_VIS_SPAN = 3325,                                        /* ORL_SUN_SOFT in units of h */
     ORL_ENCODE_KNOTS = 24 * 16, ORL_SIGMOID_KNOTS = 256,
@@ -61,9 +64,18 @@ typedef struct {
 } orl_shade_in;
 
 typedef struct {
+    const int16_t (*cell)[3][2];    /* [cells + 1] of this row: corrections of sky and surface, Q5 levels, magnitudes at most 8160 */
+    const uint8_t *cell_of;         /* of each ORL_MIX_STEP pixels: the cell a, b comes next */
+    const int16_t *share;           /* [n] of b, Q15, 0..32767 */
+    const uint8_t *layer, *weight;  /* [n] 0 sky .. 255 surface; of the photo */
+    const uint8_t *photo;           /* [n][3] */
+} orl_mix_in;
+
+typedef struct {
     void (*vis)(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis);             /* horizon [n][16] */
     void (*shadow)(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);               /* phi [n][8] */
     void (*shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);         /* rgb [n][3] */
+    void (*mix)(const orl_mix_in *in, int n, uint8_t *rgb);                                     /* rgb [n][3]: the render, then the blend */
 } orl_kernels;
 
 /* C first, then what the flags allow. Flags of another architecture are ignored. */
@@ -76,6 +88,9 @@ void orl_kernels_init(orl_kernels *k, unsigned cpu);
 void orl_vis_ref(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis);
 void orl_shadow_ref(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
 void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
+void orl_mix_ref(const orl_mix_in *in, int n, uint8_t *rgb);
+void orl_mix_avx2(const orl_mix_in *in, int n, uint8_t *rgb);
+void orl_mix_neon(const orl_mix_in *in, int n, uint8_t *rgb);
 void orl_shadow_avx2(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
 void orl_shade_avx2(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
 void orl_shadow_neon(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);

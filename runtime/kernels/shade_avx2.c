@@ -133,3 +133,43 @@ void orl_shade_avx2(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8
 #undef X
     }
 }
+
+/* What two vectors hold of one. */
+INLINE __m128i channel(__m128i first, __m128i last, __m128i from_first, __m128i from_last) { return _mm_or_si128(_mm_shuffle_epi8(first, from_first), _mm_shuffle_epi8(last, from_last)); }
+
+/* 8 pixels' RGB, 24 bytes and no more, as channels of 16 bits. */
+typedef struct { __m128i c[3]; } planes8;
+INLINE planes8 split(const uint8_t *p)
+{
+#define X -1
+    __m128i a = _mm_loadu_si128((const __m128i *)p), b = _mm_loadu_si128((const __m128i *)(p + 8));
+    return (planes8){ { channel(a, b, _mm_setr_epi8(0, X, 3, X, 6, X, 9, X, 12, X, 15, X, X, X, X, X), _mm_setr_epi8(X, X, X, X, X, X, X, X, X, X, X, X, 10, X, 13, X)),
+                        channel(a, b, _mm_setr_epi8(1, X, 4, X, 7, X, 10, X, 13, X, X, X, X, X, X, X), _mm_setr_epi8(X, X, X, X, X, X, X, X, X, X, 8, X, 11, X, 14, X)),
+                        channel(a, b, _mm_setr_epi8(2, X, 5, X, 8, X, 11, X, 14, X, X, X, X, X, X, X), _mm_setr_epi8(X, X, X, X, X, X, X, X, X, X, 9, X, 12, X, 15, X)) } };
+}
+
+void orl_mix_avx2(const orl_mix_in *in, int n, uint8_t *rgb)
+{
+    const __m128i sixteen = _mm_set1_epi16(16), top = _mm_set1_epi16(255), half = _mm_set1_epi16(128);
+    for (int i = 0; i < n; i += ORL_MIX_STEP, rgb += 24) {
+        const int16_t (*a)[2] = in->cell[in->cell_of[i / ORL_MIX_STEP]], (*b)[2] = a + 3;
+        __m128i layer = _mm_cvtepu8_epi16(_mm_loadl_epi64((const __m128i *)(in->layer + i))), w = _mm_cvtepu8_epi16(_mm_loadl_epi64((const __m128i *)(in->weight + i))), rest = _mm_sub_epi16(top, w), out[3];
+        __m256i share = _mm256_broadcastsi128_si256(_mm_loadu_si128((const __m128i *)(in->share + i)));
+        layer = _mm_add_epi16(_mm_slli_epi16(layer, 7), _mm_srli_epi16(layer, 1));
+        planes8 was = split(rgb), photo = split(in->photo + 3 * i);
+        for (int c = 0; c < 3; c++) {
+            __m256i from = _mm256_setr_m128i(_mm_set1_epi16(a[c][0]), _mm_set1_epi16(a[c][1])), to = _mm256_setr_m128i(_mm_set1_epi16(b[c][0]), _mm_set1_epi16(b[c][1]));
+            __m256i line = _mm256_add_epi16(from, _mm256_mulhi_epi16(_mm256_slli_epi16(_mm256_sub_epi16(to, from), 1), share));
+            __m128i sky = _mm256_castsi256_si128(line), d = _mm_sub_epi16(_mm256_extracti128_si256(line, 1), sky);
+            __m128i add = _mm_add_epi16(sky, _mm_mulhi_epi16(_mm_slli_epi16(d, 1), layer));
+            __m128i r = _mm_add_epi16(was.c[c], _mm_srai_epi16(_mm_add_epi16(add, sixteen), 5));
+            r = _mm_max_epi16(_mm_min_epi16(r, top), _mm_setzero_si128());
+            __m128i m = _mm_add_epi16(_mm_add_epi16(_mm_mullo_epi16(photo.c[c], w), _mm_mullo_epi16(r, rest)), half);
+            out[c] = _mm_srli_epi16(_mm_add_epi16(m, _mm_srli_epi16(m, 8)), 8);
+        }
+        __m128i rg = _mm_packus_epi16(out[0], out[1]), bb = _mm_packus_epi16(out[2], out[2]);          /* R 0..7, G 8..15; B 0..7 */
+        _mm_storeu_si128((__m128i *)rgb, channel(rg, bb, _mm_setr_epi8(0, 8, X, 1, 9, X, 2, 10, X, 3, 11, X, 4, 12, X, 5), _mm_setr_epi8(X, X, 0, X, X, 1, X, X, 2, X, X, 3, X, X, 4, X)));
+        _mm_storel_epi64((__m128i *)(rgb + 16), channel(rg, bb, _mm_setr_epi8(13, X, 6, 14, X, 7, 15, X, X, X, X, X, X, X, X, X), _mm_setr_epi8(X, 5, X, X, 6, X, X, 7, X, X, X, X, X, X, X, X)));
+#undef X
+    }
+}

@@ -82,3 +82,22 @@ void orl_shade_neon(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8
         vst3_u8(rgb, out);
     }
 }
+
+void orl_mix_neon(const orl_mix_in *in, int n, uint8_t *rgb)
+{
+    for (int i = 0; i < n; i += ORL_MIX_STEP, rgb += 24) {
+        const int16_t (*a)[2] = in->cell[in->cell_of[i / ORL_MIX_STEP]], (*b)[2] = a + 3;
+        int16x8_t share = vld1q_s16(in->share + i), layer = bytes_q15(in->layer + i);
+        uint8x8_t w = vld1_u8(in->weight + i), rest = vmvn_u8(w);
+        uint8x8x3_t was = vld3_u8(rgb), photo = vld3_u8(in->photo + 3 * i);
+        for (int c = 0; c < 3; c++) {               /* vqdmulh: 2 x y >> 16 */
+            int16x8_t sky = vaddq_s16(vdupq_n_s16(a[c][0]), vqdmulhq_s16(vdupq_n_s16((int16_t)(b[c][0] - a[c][0])), share));
+            int16x8_t stone = vaddq_s16(vdupq_n_s16(a[c][1]), vqdmulhq_s16(vdupq_n_s16((int16_t)(b[c][1] - a[c][1])), share));
+            int16x8_t add = vaddq_s16(sky, vqdmulhq_s16(vsubq_s16(stone, sky), layer));
+            uint8x8_t r = vqmovun_s16(vaddq_s16(vreinterpretq_s16_u16(vmovl_u8(was.val[c])), vshrq_n_s16(vaddq_s16(add, vdupq_n_s16(16)), 5)));
+            uint16x8_t m = vaddq_u16(vmlal_u8(vmull_u8(photo.val[c], w), r, rest), vdupq_n_u16(128));
+            was.val[c] = vshrn_n_u16(vaddq_u16(m, vshrq_n_u16(m, 8)), 8);
+        }
+        vst3_u8(rgb, was);
+    }
+}

@@ -52,3 +52,17 @@ void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_
         }
     }
 }
+
+void orl_mix_ref(const orl_mix_in *in, int n, uint8_t *rgb)
+{
+    for (int i = 0; i < n; i++, rgb += 3) {
+        const int16_t (*a)[2] = in->cell[in->cell_of[i / ORL_MIX_STEP]], (*b)[2] = a + 3;
+        for (int c = 0; c < 3; c++) {
+            int sky = a[c][0] + ((2 * (b[c][0] - a[c][0]) * in->share[i]) >> 16), add = a[c][1] + ((2 * (b[c][1] - a[c][1]) * in->share[i]) >> 16) - sky;
+            int r = rgb[c] + ((sky + ((2 * add * q15(in->layer[i])) >> 16) + 16) >> 5);
+            r = r < 0 ? 0 : r > 255 ? 255 : r;
+            int m = in->photo[3 * i + c] * in->weight[i] + r * (255 - in->weight[i]) + 128;
+            rgb[c] = (uint8_t)((m + (m >> 8)) >> 8);
+        }
+    }
+}

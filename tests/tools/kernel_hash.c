@@ -33,6 +33,9 @@ static uint64_t hash_kernels(unsigned cpu)
         k.shadow(d.phi, &d.tab, KD_N, s);
         k.shade(&in, &d.tab, KD_N, rgb);
         h = fnv(fnv(fnv(h, vis, sizeof vis), s, sizeof s), rgb, sizeof rgb);
+        orl_mix_in mix = kd_mix_struct(&d, 0);
+        k.mix(&mix, KD_N, d.render);
+        h = fnv(h, d.render, sizeof d.render);
     }
     return h;
 }
