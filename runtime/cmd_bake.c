@@ -54,7 +54,7 @@ static orl_err make(const options *o, const orl_scene *s, const orl_camera *cam,
     *block = orl_widen_block(need);
     orl_err e = *block ? orl_view_build(s, cam, pose, 2, o->threads, *block, need, v) : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", cam->w, cam->h);
     if (e) return e;
-    if (!(*ceiling = malloc((size_t)v->stride * (size_t)v->h * ORL_HORIZON))) return orl_fail(ORL_E_MEMORY, "no memory for the suns of %d x %d pixels", v->w, v->h);
+    if (!(*ceiling = calloc((size_t)v->stride * (size_t)v->h, ORL_HORIZON))) return orl_fail(ORL_E_MEMORY, "no memory for the suns of %d x %d pixels", v->w, v->h);
     int terminal = isatty(STDERR_FILENO);
     double start = orl_seconds(), told = start;
     for (int y = 0; y < v->h; y += BAND) {

@@ -122,7 +122,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
     }
     if (!e) {
         say(o, &(row){ "tables of a light", NULL, best[0], NAN, 0 });
-        say(o, &(row){ v->ceiling ? "sun, looked up" : "sun, traced", NULL, best[1], NAN, v->ceiling ? padded * (2 * ORL_HORIZON + 1) : 0 });
+        say(o, &(row){ v->ceiling ? "sun, looked up" : "sun, traced", NULL, best[1], NAN, v->ceiling ? padded * 5 : 0 });
         reference(v, l, want);
     }
     for (int k = 0; !e && k < VARIANTS; k++) {
@@ -144,7 +144,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
             orl_blend_apply(blend, photo, rgb, cpu, 1);
             laid = fmin(laid, orl_seconds() - a);
         }
-        say(o, &(row){ "sun visibility", VARIANT[k], relight, NAN, padded * (ORL_HORIZON + 2) });
+        say(o, &(row){ "sun visibility", VARIANT[k], relight, NAN, padded * (2 + 1 + 2) });
         say(o, &(row){ "shadow, shade, tone", VARIANT[k], shade, error_db, padded * (2 + 6 + 1 + 1 + 1 + ORL_SHADOW_DIM) + 3 * n });
         say(o, &(row){ "blend", VARIANT[k], laid, NAN, photo_bytes + n * (3 + 3 + 2) });
     }

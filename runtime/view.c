@@ -20,6 +20,7 @@ struct orl_view_light {
 };
 
 static size_t align64(size_t x) { return (x + 63) & ~(size_t)63; }
+static size_t plane_size(const orl_view *v) { return (size_t)v->stride * (size_t)v->h; }
 static int padded(int w) { return (w + 31) & ~31; }
 
 /* ---- layout */
@@ -198,7 +199,7 @@ static void build_pixel(const build_job *j, int x, int y)
     for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((albedo[c] + m / 2) / m);
     v->open[at] = (uint8_t)((lite[0] + half) / (m << 16));
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
-    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[at * ORL_HORIZON + (size_t)i] = (uint8_t)((lite[1 + i] + half) / (m << 16));
+    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((lite[1 + i] + half) / (m << 16));
     for (int k = 0; k < ORL_SHADOW_DIM; k++) {      /* rounded half away from zero */
         int32_t p = phi[k], r = (int32_t)half, den = (int32_t)(m << 16);
         v->phi[at * ORL_SHADOW_DIM + (size_t)k] = (int8_t)((p < 0 ? p - r : p + r) / den);
@@ -295,7 +296,7 @@ void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out)
         s.albedo[c] = (float)v->albedo[c][at] / 65535;
         s.dir[c] = (float)d[c];
     }
-    for (int i = 0; i < ORL_HORIZON; i++) s.horizon[i] = (float)v->horizon[at * ORL_HORIZON + (size_t)i] * (1.57079633f / 255);
+    for (int i = 0; i < ORL_HORIZON; i++) s.horizon[i] = (float)v->horizon[(size_t)i * plane_size(v) + at] * (1.57079633f / 255);
     s.fix = (float)v->fix[at] * (1 / 127.0f);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) s.phi[k] = (float)v->phi[at * ORL_SHADOW_DIM + (size_t)k] * v->phi_scale[k];
     *out = s;
@@ -432,6 +433,12 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     return t;
 }
 
+/* Sun visibility of n pixels from `at` on by a view's horizons, or its ceilings. */
+static void vis_of(void (*kernel)(const uint8_t *, const uint8_t *, const orl_vis_tab *, int, uint8_t *), const orl_view *v, const uint8_t *planes, const orl_vis_tab *t, size_t at, int n, uint8_t *vis)
+{
+    kernel(planes + (size_t)t->i0 * plane_size(v) + at, planes + (size_t)t->i1 * plane_size(v) + at, t, n, vis);
+}
+
 /* ---- the sun's way */
 
 /* Where rays from a pixel's surface begin. 0: the lens has no such pixel. */
@@ -476,8 +483,8 @@ static void look_up_row(const trace_job *j, int y)
     for (int x = 0; x < v->stride; x += CHUNK) {
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        orl_vis_ref(v->horizon + at * ORL_HORIZON, &j->over, n, over);
-        orl_vis_ref(v->ceiling + at * ORL_HORIZON, &j->under, n, under);
+        vis_of(orl_vis_ref, v, v->horizon, &j->over, at, n, over);
+        vis_of(orl_vis_ref, v, v->ceiling, &j->under, at, n, under);
         for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)(j->l->sun_dir[2] > 0 ? -((over[i] * (255 - under[i]) + 255) / 510) : 0);      /* in 1/127 of over under / 255 - over */
     }
 }
@@ -550,20 +557,21 @@ static void bake_pixel(const trace_job *j, int x, int y)
 {
     orl_view *v = j->v;
     size_t at = ((size_t)y * (size_t)v->stride + (size_t)x);
-    uint8_t *horizon = v->horizon + at * ORL_HORIZON, *ceiling = j->ceiling + at * ORL_HORIZON;
+    uint8_t *horizon = v->horizon + at, *ceiling = j->ceiling + at;
+    const size_t n = plane_size(v);
     orl_sample p;
     double o[3];
     int known[ORL_HORIZON];
     if (!v->cov[at] || !v->scene->lite) return;
     orl_view_sample(v, x, y, &p);
     if (!lifted(v, x, y, p.normal, o)) return;
-    for (int i = 0; i < ORL_HORIZON; i++) known[i] = gap_of(v, o, p.normal, i, &horizon[i], &ceiling[i]);
+    for (int i = 0; i < ORL_HORIZON; i++) known[i] = gap_of(v, o, p.normal, i, &horizon[(size_t)i * n], &ceiling[(size_t)i * n]);
     for (int i = 0; i < ORL_HORIZON; i++)
         for (int off = 1; !known[i] && off < ORL_HORIZON; off++) {                   /* as the nearest azimuth that it faces; the first of two */
-            int from = (i + (off & 1 ? (off + 1) / 2 : ORL_HORIZON - off / 2)) & (ORL_HORIZON - 1);
+            size_t to = (size_t)i * n, from = (size_t)((i + (off & 1 ? (off + 1) / 2 : ORL_HORIZON - off / 2)) & (ORL_HORIZON - 1));
             if (!known[from]) continue;
-            horizon[i] = horizon[from];
-            ceiling[i] = ceiling[from];
+            horizon[to] = horizon[from * n];
+            ceiling[to] = ceiling[from * n];
             break;
         }
 }
@@ -576,7 +584,6 @@ static void bake_rows(void *user, int begin, int end)
 
 void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling)
 {
-    memset(ceiling + (size_t)y0 * (size_t)v->stride * ORL_HORIZON, 0, (size_t)(y1 - y0) * (size_t)v->stride * ORL_HORIZON);
     orl_parallel(threads, y1 - y0, 1, bake_rows, &(trace_job){ .v = v, .y0 = y0, .ceiling = ceiling });
 }
 
@@ -588,7 +595,7 @@ void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0
     orl_kernels_init(&k, cpu);
     for (int y = y0; y < y1; y++) {
         size_t at = (size_t)y * (size_t)v->stride;
-        k.vis(v->horizon + at * ORL_HORIZON, &l->vis, v->stride, v->vis + at);
+        vis_of(k.vis, v, v->horizon, &l->vis, at, v->stride, v->vis + at);
         for (int x = 0; x < v->stride; x++) {
             int s = v->vis[at + (size_t)x] + 2 * v->fix[at + (size_t)x];
             v->vis[at + (size_t)x] = (uint8_t)(s < 0 ? 0 : s > 255 ? 255 : s);

@@ -11,7 +11,7 @@ typedef struct {
     orl_shade_tab tab;
     orl_vis_tab vis_tab;
     uint16_t normal[KD_N], albedo[3][KD_N];
-    uint8_t open[KD_N], cov[KD_N], vis[KD_N], horizon[KD_N * 16];
+    uint8_t open[KD_N], cov[KD_N], vis[KD_N], horizon[2][KD_N];
     int8_t phi[KD_N * 8];
     int16_t s[KD_N], sky[KD_NODES][4];
     int sky_log2;
@@ -58,7 +58,7 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
         d->cov[i] = (uint8_t)(m == KD_RANDOM && (i / 48) % 3 == 2 ? 0 : kd_in(&r, m, 0, 255));      /* runs of pure sky: kernels skip them */
         d->vis[i] = (uint8_t)kd_in(&r, m, 0, 255);
         d->s[i] = (int16_t)kd_in(&r, m, 0, 32767);
-        for (int k = 0; k < 16; k++) d->horizon[16 * i + k] = (uint8_t)kd_in(&r, m, 0, 255);
+        for (int k = 0; k < 2; k++) d->horizon[k][i] = (uint8_t)kd_in(&r, m, 0, 255);
         for (int k = 0; k < 8; k++) d->phi[8 * i + k] = (int8_t)kd_in(&r, m, -128, 127);
     }
     for (int i = 0; i < KD_NODES; i++) for (int c = 0; c < 3; c++) d->sky[i][c] = (int16_t)(m == KD_RANDOM ? kd_in(&r, m, -4096, 28590) : (i + c) & 1 ? -4096 : 28590);

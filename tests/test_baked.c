@@ -25,7 +25,7 @@ static int set_up(void **state)
         orl_camera c = k ? synth_camera(W, H, 70) : orl_camera_resized(&cam, W / 2, H / 2);
         block[k] = orl_widen_block(orl_view_need(c.w, c.h));
         if (orl_view_build(&scene, &c, &pose, 2, 1, block[k], orl_view_need(c.w, c.h), &view[k])) return -1;
-        ceiling[k] = malloc((size_t)view[k].stride * (size_t)view[k].h * ORL_HORIZON);
+        ceiling[k] = calloc((size_t)view[k].stride * (size_t)view[k].h, ORL_HORIZON);
         orl_view_bake(&view[k], 0, c.h, 2, ceiling[k]);
     }
     return 0;
@@ -139,11 +139,13 @@ static void roofs_hide_high_suns(void **state)
     (void)state;
     orl_view v = { .w = 32, .h = 1, .stride = 32, .cam = synth_camera(32, 1, 40) };
     static uint16_t normal[32], albedo[32], depth[32];
-    static uint8_t open[32], cov[32], horizon[32][ORL_HORIZON], above[32][ORL_HORIZON];
+    static uint8_t open[32], cov[32], horizon[ORL_HORIZON][32], above[ORL_HORIZON][32];
     static int8_t phi[32][ORL_SHADOW_DIM];
     memset(cov, 255, sizeof cov);
-    memset(above[1], 170, sizeof above[1]);                 /* from 30 degrees on */
-    memset(horizon[2], 170, sizeof horizon[2]);             /* up to 60 degrees */
+    for (int k = 0; k < ORL_HORIZON; k++) {
+        above[k][1] = 170;                  /* from 30 degrees on */
+        horizon[k][2] = 170;                /* up to 60 degrees */
+    }
     v.normal = normal; v.albedo[0] = v.albedo[1] = v.albedo[2] = albedo; v.depth = depth; v.open = open; v.cov = cov; v.horizon = horizon[0]; v.phi = phi[0]; v.ceiling = above[0];
     for (int i = 0; i < 9; i++) v.grid_from_cam[i] = i % 4 == 0;
     void *room = orl_widen_block(orl_view_attach_need(32, 1)), *tables = orl_widen_block(orl_view_light_need());
@@ -168,7 +170,7 @@ static void threads_agree(void **state)
 {
     (void)state;
     size_t n = (size_t)view[0].stride * (size_t)view[0].h * ORL_HORIZON;
-    uint8_t *other = malloc(n), *before = malloc(n);
+    uint8_t *other = calloc(n, 1), *before = malloc(n);
     memcpy(before, view[0].horizon, n);
     orl_view_bake(&view[0], 0, view[0].h / 2, 1, other);
     orl_view_bake(&view[0], view[0].h / 2, view[0].h, 3, other);

@@ -22,7 +22,7 @@ static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output
 {
     memset(o, 0xa5, sizeof *o);
     orl_shade_in in = kd_in_struct(d, x);
-    k->vis(d->horizon + 16 * x, &d->vis_tab, n, o->vis);
+    k->vis(d->horizon[0] + x, d->horizon[1] + x, &d->vis_tab, n, o->vis);
     k->shadow(d->phi + 8 * x, &d->tab, n, o->s);
     k->shade(&in, &d->tab, n, o->rgb);
     orl_mix_in mix = kd_mix_struct(d, x);
@@ -65,13 +65,12 @@ static void test_bits(void **state)
 static void test_vis_is_smoothstep(void **state)
 {
     (void)state;
-    uint8_t horizon[16 * 256], vis[256];
-    memset(horizon, 0, sizeof horizon);
-    for (int i = 0; i < 256; i++) { horizon[16 * i + 3] = (uint8_t)i; horizon[16 * i + 4] = (uint8_t)(255 - i); }
+    uint8_t h0[256], h1[256], vis[256];
+    for (int i = 0; i < 256; i++) { h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); }
     for (int f = 0; f <= 256; f += 37) {
         double el = 0.7;
         orl_vis_tab t = { 3, 4, f, (int32_t)((el + ORL_SUN_SOFT / 2) * 255 * 256 * 2 / 3.14159265358979) };
-        orl_vis_ref(horizon, &t, 256, vis);
+        orl_vis_ref(h0, h1, &t, 256, vis);
         for (int i = 0; i < 256; i++) {
             double h = (i + (255 - 2 * i) * f / 256.0) / 255 * 1.5707963267949, x = fmin(fmax((el - h) / ORL_SUN_SOFT + 0.5, 0), 1);
             assert_true(fabs(vis[i] - 255 * x * x * (3 - 2 * x)) <= 1.5);

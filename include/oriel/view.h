@@ -10,9 +10,9 @@ typedef struct {
     uint16_t *normal;               /* octahedral palette index, 64 x 64 */
     uint16_t *albedo[3];            /* linear, Q16 saturating at 65535 = 1.0 */
     uint8_t *open, *cov;            /* 0..255 */
-    uint8_t *horizon;               /* [pixel][16] */
+    uint8_t *horizon;               /* 16 planes, one an azimuth */
     int8_t  *phi;                   /* [pixel][8] */
-    const uint8_t *ceiling;         /* [pixel][16] of a baked view: 255 - elevation of what hangs over it in each azimuth, 0 nothing; NULL: the scene tells */
+    const uint8_t *ceiling;         /* 16 planes of a baked view: 255 - elevation of what hangs over it in each azimuth, 0 nothing; NULL: the scene tells */
     int8_t *fix;                    /* what a traced sun has over the horizons', in 1/127; 0: not traced */
     uint8_t *vis;                   /* sun visibility under the current light, 0..255 */
     uint16_t *depth;                /* Q.4 fine cells along the ray, 65535 = none */
@@ -29,7 +29,7 @@ size_t orl_view_need(int w, int h);                                 /* bytes, 64
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
 
 /* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
- * ceiling: [stride h][16], the caller's; v->ceiling when all rows are done. Bit-identical for any thread count. */
+ * ceiling: [16][stride h], the caller's, zeroed; v->ceiling when all rows are done. Bit-identical for any thread count. */
 void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling);
 /* A view whose planes (all but fix and vis), cam, pose, grid_from_cam, eye and phi_scale stand in *from, as they were baked: rests in block, the planes stay where they are. */
 size_t orl_view_attach_need(int w, int h);

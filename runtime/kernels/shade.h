@@ -72,7 +72,7 @@ typedef struct {
 } orl_mix_in;
 
 typedef struct {
-    void (*vis)(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis);             /* horizon [n][16] */
+    void (*vis)(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);      /* [n] of the azimuths i0 and i1 */
     void (*shadow)(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);               /* phi [n][8] */
     void (*shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);         /* rgb [n][3] */
     void (*mix)(const orl_mix_in *in, int n, uint8_t *rgb);                                     /* rgb [n][3]: the render, then the blend */
@@ -85,7 +85,7 @@ void orl_kernels_init(orl_kernels *k, unsigned cpu);
 #define ORL_KERNEL_VARIANTS(X) X("ref") X("avx2") X("neon") X("dotprod")
 
 /* Instruction sets; private to the dispatch. */
-void orl_vis_ref(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis);
+void orl_vis_ref(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
 void orl_shadow_ref(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
 void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
 void orl_mix_ref(const orl_mix_in *in, int n, uint8_t *rgb);

@@ -6,10 +6,11 @@ static int q15(int v) { return (v << 7) + (v >> 1); }
 static int add(int a, int b) { int s = a + b; return s > 32767 ? 32767 : s; }          /* operands are never negative */
 static int lut(const orl_lut *t, int f) { return t->base + mul(t->delta, f); }
 
-void orl_vis_ref(const uint8_t *horizon, const orl_vis_tab *t, int n, uint8_t *vis)
+void orl_vis_ref(const uint8_t *restrict h0, const uint8_t *restrict h1, const orl_vis_tab *t, int n, uint8_t *restrict vis)
 {
-    for (int i = 0; i < n; i++, horizon += ORL_HORIZON) {
-        int d = t->sun - (horizon[t->i0] * (256 - t->f) + horizon[t->i1] * t->f);
+    const int f = t->f, sun = t->sun;
+    for (int i = 0; i < n; i++) {
+        int d = sun - (h0[i] * (256 - f) + h1[i] * f);
         d = d < 0 ? 0 : d > ORL_VIS_SPAN ? ORL_VIS_SPAN : d;
         int x = (d * 20182 + 1024) >> 11, a = mul(x, x), v = (a + 2 * mul(a, 32767 - x) + 64) >> 7;
         vis[i] = (uint8_t)(v > 255 ? 255 : v);

@@ -29,7 +29,7 @@ static uint64_t hash_kernels(unsigned cpu)
     for (int i = 0; i < 12; i++) {
         kd_fill(&d, 1000 + (uint64_t)i, i < KD_MODES ? (kd_mode)i : KD_RANDOM);
         orl_shade_in in = kd_in_struct(&d, 0);
-        k.vis(d.horizon, &d.vis_tab, KD_N, vis);
+        k.vis(d.horizon[0], d.horizon[1], &d.vis_tab, KD_N, vis);
         k.shadow(d.phi, &d.tab, KD_N, s);
         k.shade(&in, &d.tab, KD_N, rgb);
         h = fnv(fnv(fnv(h, vis, sizeof vis), s, sizeof s), rgb, sizeof rgb);
