@@ -89,6 +89,8 @@ void orl_vis_ref(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int
 void orl_shadow_ref(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
 void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
 void orl_mix_ref(const orl_mix_in *in, int n, uint8_t *rgb);
+void orl_vis_avx2(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
+void orl_vis_neon(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
 void orl_mix_avx2(const orl_mix_in *in, int n, uint8_t *rgb);
 void orl_mix_neon(const orl_mix_in *in, int n, uint8_t *rgb);
 void orl_shadow_avx2(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);

@@ -21,6 +21,23 @@ INLINE __m256i lut(const orl_lut *t, __m256i lo, __m256i hi, __m256i flo, __m256
     return _mm256_add_epi16(base, _mm256_mulhrs_epi16(delta, _mm256_packs_epi32(flo, fhi)));
 }
 
+/* In 16 bits: h is below 2^16; of a sun above that, the rest goes on top of what it is over h; t = (16 d)(2 20182) + 2^15 >> 16. */
+void orl_vis_avx2(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis)
+{
+    int sun = t->sun < 0 ? 0 : t->sun > 65535 ? 65535 : t->sun, more = t->sun - 65535 < 0 ? 0 : t->sun - 65535 > ORL_VIS_SPAN ? ORL_VIS_SPAN : t->sun - 65535;
+    const __m256i w0 = _mm256_set1_epi16((short)(256 - t->f)), w1 = _mm256_set1_epi16((short)t->f), low = _mm256_set1_epi16((short)sun), high = _mm256_set1_epi16((short)more), span = _mm256_set1_epi16(ORL_VIS_SPAN);
+    const __m256i scale = _mm256_set1_epi16((short)(2 * 20182)), one = _mm256_set1_epi16(32767), half = _mm256_set1_epi16(64), top = _mm256_set1_epi16(255);
+    for (int i = 0; i < n; i += 16) {
+        __m256i a = _mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)(h0 + i))), b = _mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)(h1 + i)));
+        __m256i h = _mm256_add_epi16(_mm256_mullo_epi16(a, w0), _mm256_mullo_epi16(b, w1));
+        __m256i d = _mm256_slli_epi16(_mm256_min_epu16(_mm256_adds_epu16(_mm256_subs_epu16(low, h), high), span), 4);
+        __m256i x = _mm256_add_epi16(_mm256_mulhi_epu16(d, scale), _mm256_srli_epi16(_mm256_mullo_epi16(d, scale), 15));
+        __m256i q = _mm256_mulhrs_epi16(x, x), v = _mm256_add_epi16(_mm256_add_epi16(q, half), _mm256_slli_epi16(_mm256_mulhrs_epi16(q, _mm256_sub_epi16(one, x)), 1));
+        v = _mm256_min_epu16(_mm256_srli_epi16(v, 7), top);
+        _mm_storeu_si128((__m128i *)(vis + i), _mm_packus_epi16(_mm256_castsi256_si128(v), _mm256_extracti128_si256(v, 1)));
+    }
+}
+
 /* 8 pixels: sums of 8 products, in order. */
 INLINE __m256i dot8(const int8_t *phi, __m256i w)
 {

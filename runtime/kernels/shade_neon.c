@@ -7,6 +7,22 @@ INLINE int16x8_t bytes_q15(const uint8_t *p)
     return vreinterpretq_s16_u16(vaddq_u16(vshlq_n_u16(v, 7), vshrq_n_u16(v, 1)));
 }
 
+/* In 16 bits: h is below 2^16; of a sun above that, the rest goes on top of what it is over h; t = (16 d)(2 20182) + 2^15 >> 16. */
+void orl_vis_neon(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis)
+{
+    int sun = t->sun < 0 ? 0 : t->sun > 65535 ? 65535 : t->sun, more = t->sun - 65535 < 0 ? 0 : t->sun - 65535 > ORL_VIS_SPAN ? ORL_VIS_SPAN : t->sun - 65535;
+    const uint16x8_t low = vdupq_n_u16((uint16_t)sun), high = vdupq_n_u16((uint16_t)more), span = vdupq_n_u16(ORL_VIS_SPAN);
+    for (int i = 0; i < n; i += 8) {
+        uint16x8_t h = vmlaq_n_u16(vmulq_n_u16(vmovl_u8(vld1_u8(h0 + i)), (uint16_t)(256 - t->f)), vmovl_u8(vld1_u8(h1 + i)), (uint16_t)t->f);
+        uint16x8_t d = vshlq_n_u16(vminq_u16(vqaddq_u16(vqsubq_u16(low, h), high), span), 4);
+        uint16x4_t x0 = vrshrn_n_u32(vmull_n_u16(vget_low_u16(d), 2 * 20182), 16), x1 = vrshrn_n_u32(vmull_n_u16(vget_high_u16(d), 2 * 20182), 16);
+        int16x8_t x = vreinterpretq_s16_u16(vcombine_u16(x0, x1)), q = vqrdmulhq_s16(x, x);
+        uint16x8_t v = vreinterpretq_u16_s16(vqrdmulhq_s16(q, vsubq_s16(vdupq_n_s16(32767), x)));
+        v = vaddq_u16(vaddq_u16(vreinterpretq_u16_s16(q), vdupq_n_u16(64)), vaddq_u16(v, v));
+        vst1_u8(vis + i, vqmovn_u16(vshrq_n_u16(v, 7)));
+    }
+}
+
 INLINE int32x4_t dot4(const int8_t *phi, int16x8_t w)
 {
     int32x4_t m[4];
