@@ -41,7 +41,7 @@ MPI_SHOW := $(if $(MPI),$(shell mpicc -show))
 MPI_LIBS := $(if $(MPI),-Wl$(,)--as-needed $(filter -L% -l%,$(MPI_SHOW)))
 TRAIN := $(filter-out trainer/main.c $(if $(MPI),trainer/ranks.c,trainer/ranks_mpi.c),$(wildcard trainer/*.c)) $(wildcard trainer/*.cpp)
 TESTS := $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/test_*.c))
-TOOLS := $(patsubst tests/tools/%.c,$B/tools/%,$(wildcard tests/tools/*.c)) $(patsubst tests/%.c,$B/tests/%,$(wildcard tests/bench_*.c))
+TOOLS := $(patsubst tests/tools/%.c,$B/tools/%,$(wildcard tests/tools/*.c))
 obj = $(patsubst %,$B/obj/%.o,$(basename $(1)))
 
 all: $(if $(APP),$B/oriel) $(if $(filter host,$(BOARD)),$B/oriel-train)

@@ -1,8 +1,12 @@
 #!/bin/bash
-# Benchmarks of a build folder: each prints ratios measured in one run.
-set -u
-for b in "$1"/tests/bench_*; do
-    [[ -x $b && ! $b = *.d ]] || continue
-    echo "== ${b##*/}"
-    "$b" || exit 1
-done
+# Run time against error of a build folder, ratios measured in one run: `oriel bench` on a small made scene shown at 1920 x 1080, marched and baked, then the trainer's own. --json: one object a row.
+#   tests/bench.sh BUILD [--json]
+set -eu
+B=$1
+W=$(mktemp -d)
+trap 'rm -rf "$W"' EXIT
+"$B/tools/synth" "$W" 6 3
+"$B/oriel" bench --scene "$W/scene.oriel" --pose "$W/pose.txt" --size 1920x1152 --source "replay:$W/clip.y4m" "${@:2}"
+"$B/oriel" bake --scene "$W/scene.oriel" --pose "$W/pose.txt" --size 640x384 -o "$W/kiosk.oriel" >&2
+"$B/oriel" bench --view "$W/kiosk.oriel" --source "replay:$W/clip.y4m" "${@:2}"
+"$B/oriel-train" bench "${@:2}"

@@ -13,7 +13,7 @@ scene="--scene $W/scene.oriel" pose="--pose $W/pose.txt" clip="--source replay:$
 # what it says about itself
 "$O" --help | grep -q extend || fail "--help"
 "$O" --version | grep -q '^cpu: ' || fail "--version"
-for c in info extend relight bake run; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
+for c in info extend relight bake run bench; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
 "$O" info "$W/scene.oriel" | grep -q 'SDF8' || fail "info"
 "$O" info --json "$W/scene.oriel" | grep -q '"title": "synthetic"' || fail "info --json"
 if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | python3 -m json.tool >/dev/null || fail "info --json is not JSON"; fi
@@ -35,6 +35,13 @@ for cpu in auto avx2; do
     got=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$cpu --threads=2 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--view --cpu=$cpu: $(cat "$W/err")"; continue; }
     [ "$got" = "$baked" ] || fail "--view --cpu=$cpu: $got, not $baked"
 done
+"$O" bench --view "$W/kiosk.oriel" $clip --json >"$W/out" || fail "bench --view"
+grep -q '"name": "blend ref", "seconds": [0-9.e-]*, "bytes": [0-9]*, "ratio": [0-9.e+]*, "against": "memcpy"}' "$W/out" || fail "bench says no ratio: $(grep blend "$W/out")"
+db=$(grep -oE '"shadow, shade, tone ref".*"error_db": [0-9]+' "$W/out" | grep -oE '[0-9]+$')
+[ "${db:-0}" -ge 50 ] || fail "bench: shading is ${db:-?} dB from the float model"
+"$O" bench $scene $pose $clip | grep -q '^sun, traced' || fail "bench --scene"
+if command -v python3 >/dev/null; then python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json is not JSON"; fi
+expect 2 "wanted are --view, or both" "$O" bench $clip
 expect 1 "no baked view" "$O" run --view "$W/scene.oriel" $clip --sink hash:
 expect 1 "no surface" "$O" run --scene "$W/kiosk.oriel" $pose $clip --sink hash:
 expect 2 "either --view or both" "$O" run --view "$W/kiosk.oriel" $pose $clip --sink hash:
