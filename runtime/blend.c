@@ -23,7 +23,8 @@ struct orl_blend {
     int box_x, box_y;                   /* footprint of a wide pixel in the photo, Q8, >= 256 */
     uint64_t inverse;                   /* 2^40 / footprint */
     int cell, gw, gh, levels;
-    int *x0, *x1;                       /* covered columns of each row */
+    int *x0, *x1;                       /* covered columns of each row, */
+    int *in0, *in1;                     /* and those in which the photo stands alone */
     int32_t *at;                        /* [pixel][2] the footprint's corner in the photo, Q8 */
     uint8_t *weight, *seam, *layer;     /* [pixel] of the photo, of its seam colour; layer: 0..255 surface */
     uint8_t *warped;                    /* [pixel][3] */
@@ -50,6 +51,8 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     b->gh = (h + b->cell - 1) / b->cell;
     b->x0 = orl_arena_take(a, (size_t)h * sizeof *b->x0);
     b->x1 = orl_arena_take(a, (size_t)h * sizeof *b->x1);
+    b->in0 = orl_arena_take(a, (size_t)h * sizeof *b->in0);
+    b->in1 = orl_arena_take(a, (size_t)h * sizeof *b->in1);
     b->at = orl_arena_take(a, n * 2 * sizeof *b->at);
     b->weight = orl_arena_take(a, n);
     b->seam = orl_arena_take(a, n);
@@ -148,6 +151,13 @@ static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide,
             b->x1[y] = x + 1;
         }
         if (b->x0[y] == b->w) b->x0[y] = b->x1[y] = 0;
+        b->in0[y] = b->in1[y] = 0;
+        for (int x = b->x0[y], from = x; x <= b->x1[y]; x++) {          /* the longest run of such pixels */
+            size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+            if (x < b->x1[y] && b->weight[i] == 255 && !b->seam[i]) continue;
+            if (x - from > b->in1[y] - b->in0[y]) { b->in0[y] = from; b->in1[y] = x; }
+            from = x + 1;
+        }
     }
 }
 
@@ -210,6 +220,8 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     *out = b;
     return ORL_OK;
 }
+
+void orl_blend_covered(const orl_blend *b, int y, int *x0, int *x1) { *x0 = b->in0[y]; *x1 = b->in1[y]; }
 
 /* ---- per frame ---- */
 

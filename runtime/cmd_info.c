@@ -2,10 +2,11 @@
 #include <inttypes.h>
 #include <stdio.h>
 #include "oriel/scene.h"
+#include "runtime/baked.h"
 #include "runtime/commands.h"
 
 static const char HELP[] =
-    "Usage: oriel info [--json] SCENE_FILE\nWhat is in a scene file: sections with their bytes, extent, bricks, dimensions in use.\n\n"
+    "Usage: oriel info [--json] SCENE_FILE\nWhat is in a scene file, or a baked one: sections with their bytes, extent, bricks, dimensions in use.\n\n"
     "  --json   one JSON object\n  --help   this text\n";
 
 static void json_string(const char *s)
@@ -49,6 +50,11 @@ int orl_cmd_info(int argc, char **argv)
         orl_scene_close(&s);
         return ORL_EXIT_FAILED;
     }
+    orl_baked b = { 0 };
+    if (s.view[0] && orl_baked_open(path, &b)) {
+        orl_scene_close(&s);
+        return ORL_EXIT_FAILED;
+    }
     const orl_light_model *m = &s.light;
     for (int k = 0; k < ORL_ENV_DIM; k++) env += any(&m->env_basis[k][0][0], ORL_ENV * 3);
     for (int k = ORL_SKY_Q - ORL_SKY_DIM; k < ORL_SKY_Q; k++) own += any(&m->sky_gen[k][0][0], 3 * ORL_SKY_Y);
@@ -70,7 +76,9 @@ int orl_cmd_info(int argc, char **argv)
         printf("], \"grid\": [%u, %u, %u], \"cell_world\": %.9g, \"bricks\": %u, \"textures\": %u, \"horizon\": %s, \"facings\": %d, \"backdrop\": %.9g, \"shadow_dims\": %d, \"env_dims\": %d, \"sky_dims\": %d, \"codes\": %u, \"world_to_grid\": [",
                s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, s.nbricks, s.ntextures, s.lite ? "true" : "false", s.facings.n, (double)s.backdrop.half[0] / (4.0 * (s.nb[0] ? s.nb[0] : 1)), shadow, env, own, s.ncodes);
         for (int i = 0; i < 12; i++) printf("%s%.17g", i ? ", " : "", g[i]);
-        printf("]}\n");
+        printf("]");
+        if (s.view[0]) printf(", \"photo\": [%d, %d], \"views\": [[%d, %d], [%d, %d]]", b.photo.w, b.photo.h, b.view[0].w, b.view[0].h, b.view[1].w, b.view[1].h);
+        printf("}\n");
     } else {
         printf("%s: %.64s, %zu bytes\n", path, s.title, s.map_bytes);
         for (int i = 0; i < n; i++) printf("  %-4s  %10" PRIu64 " bytes at %10" PRIu64 "  crc %08" PRIx32 "\n", part[i].tag, part[i].bytes, part[i].offset, part[i].crc);
@@ -79,10 +87,13 @@ int orl_cmd_info(int argc, char **argv)
         if (total) printf("textures  %u of base colour, %d texels a cell, %.2f a brick\n", s.ntextures, ORL_SKIN_PER_CELL, s.ntextures / (double)(s.nbricks + !s.nbricks));
         if (s.facings.n) printf("facings   %d directions that walls have\n", s.facings.n);
         if (s.backdrop_rgba) printf("backdrop  on walls %.3g times as far away as the box's\n", (double)s.backdrop.half[0] / (4.0 * s.nb[0]));
-        printf("light     %d of %d environment dimensions, %d of %d of the sky's own, %s, %d of %d shadow features\n", env, ORL_ENV_DIM, own, ORL_SKY_DIM,
-               s.lite ? "openness and horizons" : "no horizons", shadow, ORL_SHADOW_DIM);
+        if (s.view[0]) printf("baked     a photo of %d x %d, its light found in %d x %d, widened to %d x %d\n", b.photo.w, b.photo.h, b.view[0].w, b.view[0].h, b.view[1].w, b.view[1].h);
+        printf("light     %d of %d environment dimensions, %d of %d of the sky's own", env, ORL_ENV_DIM, own, ORL_SKY_DIM);
+        if (total) printf(", %s, %d of %d shadow features", s.lite ? "openness and horizons" : "no horizons", shadow, ORL_SHADOW_DIM);
+        printf("\n");
         printf("codes     %u training photos\n", s.ncodes);
     }
+    orl_baked_close(&b);
     orl_scene_close(&s);
     return ORL_EXIT_DONE;
 }

@@ -20,6 +20,7 @@ static const char HELP[] =
     "  --frames N         stop after N pictures\n"
     "  --adapt-every N    find the light in every Nth picture; 1\n"
     "  --no-blend         the render alone\n"
+    "  --no-skip          shade also what the photo covers: the same picture, later\n"
     "  --realtime         hold back to the source's frame rate\n"
     "  --report           pictures, time of each stage, on standard error\n"
     "  --threads N        0: one per core\n"
@@ -30,7 +31,7 @@ typedef struct {
     const char *scene, *baked, *source, *sink;
     orl_view_request view;
     orl_run_options run;
-    int no_blend, report, threads;
+    int no_blend, no_skip, report, threads;
     unsigned cpu;
 } options;
 
@@ -39,7 +40,7 @@ static int parse(int argc, char **argv, options *o)
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' }, { "sink", required_argument, NULL, 'D' },
         { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "frames", required_argument, NULL, 'n' }, { "adapt-every", required_argument, NULL, 'a' },
-        { "no-blend", no_argument, NULL, 'b' }, { "realtime", no_argument, NULL, 'T' }, { "report", no_argument, NULL, 'r' }, { "threads", required_argument, NULL, 't' },
+        { "no-blend", no_argument, NULL, 'b' }, { "no-skip", no_argument, NULL, 'k' }, { "realtime", no_argument, NULL, 'T' }, { "report", no_argument, NULL, 'r' }, { "threads", required_argument, NULL, 't' },
         { "cpu", required_argument, NULL, 'u' }, { "help", no_argument, NULL, 'h' }, { 0 } };
     int first = 1, n = 0;
     orl_err e = ORL_OK;
@@ -55,6 +56,7 @@ static int parse(int argc, char **argv, options *o)
         case 'n': e = orl_option_int("--frames", optarg, 1, 1 << 30, &n); o->run.frames = n; break;
         case 'a': e = orl_option_int("--adapt-every", optarg, 1, 1 << 30, &o->run.adapt_every); break;
         case 'b': o->no_blend = 1; break;
+        case 'k': o->no_skip = 1; break;
         case 'T': o->run.realtime = 1; break;
         case 'r': o->report = 1; break;
         case 't': e = orl_option_int("--threads", optarg, 0, 64, &o->threads); break;
@@ -107,7 +109,7 @@ static orl_err run(const options *o)
         e = orl_camera_fit(&from.cam, o->source, i->w, i->h);
     } else e = orl_views_find(&o->view, o->source, i->w, i->h, &from, &to);
     if (e) goto done;
-    orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .blend = !o->no_blend,
+    orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .blend = !o->no_blend, .no_skip = o->no_skip,
                            .threads = o->threads, .cpu = o->cpu };
     size_t need = orl_widen_need(&c);
     block = orl_widen_block(need);

@@ -603,25 +603,39 @@ void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0
     }
 }
 
-void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)
+/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. */
+static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t (*sky)[4], uint8_t *rgb)
 {
+    const sky_grid *g = v->sky;
+    for (int n; x < end; x += n) {
+        int16_t s[CHUNK];
+        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+        uint8_t tail[CHUNK * 3], *to = rgb + 3 * (size_t)x;
+        n = end - x < CHUNK ? end - x : CHUNK;
+        int padded_n = (n + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, whole = padded_n == n;        /* the row's padding makes room */
+        orl_shade_in in = { v->normal + at, { v->albedo[0] + at, v->albedo[1] + at, v->albedo[2] + at }, v->open + at, v->cov + at, v->vis + at, s, sky, g->log2, x };
+        k->shadow(v->phi + at * ORL_SHADOW_DIM, &l->tab, padded_n, s);
+        k->shade(&in, &l->tab, padded_n, whole ? to : tail);
+        if (!whole) memcpy(to, tail, 3 * (size_t)n);
+    }
+}
+
+void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu, int y, int x0, int x1, uint8_t *rgb)
+{
+    const sky_grid *g = v->sky;
+    const int16_t (*a)[4] = l->sky + (size_t)(y >> g->log2) * (size_t)g->nx, (*b)[4] = a + g->nx;
+    int16_t sky[NODES][4];
+    int f = (y & ((1 << g->log2) - 1)) << (15 - g->log2);
     orl_kernels k;
     orl_kernels_init(&k, cpu);
-    const sky_grid *g = v->sky;
-    for (int y = y0; y < y1; y++) {
-        int16_t sky[NODES][4], s[CHUNK];
-        const int16_t (*a)[4] = l->sky + (size_t)(y >> g->log2) * (size_t)g->nx, (*b)[4] = a + g->nx;
-        int f = (y & ((1 << g->log2) - 1)) << (15 - g->log2);
-        for (int i = 0; i < g->nx; i++) for (int c = 0; c < 4; c++) sky[i][c] = (int16_t)(a[i][c] + (((b[i][c] - a[i][c]) * f + 0x4000) >> 15));
-        for (int x = 0; x < v->w; x += CHUNK) {
-            size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-            uint8_t tail[CHUNK * 3], *to = rgb + (size_t)(y - y0) * row_bytes + 3 * (size_t)x;
-            int n = v->stride - x < CHUNK ? v->stride - x : CHUNK, visible = v->w - x < n ? v->w - x : n;
-            orl_shade_in in = { v->normal + at, { v->albedo[0] + at, v->albedo[1] + at, v->albedo[2] + at }, v->open + at, v->cov + at, v->vis + at, s,
-                                (const int16_t (*)[4])sky, g->log2, x };
-            k.shadow(v->phi + at * ORL_SHADOW_DIM, &l->tab, n, s);
-            k.shade(&in, &l->tab, n, visible == n ? to : tail);
-            if (visible < n) memcpy(to, tail, 3 * (size_t)visible);
-        }
-    }
+    for (int i = 0; i < g->nx; i++) for (int c = 0; c < 4; c++) sky[i][c] = (int16_t)(a[i][c] + (((b[i][c] - a[i][c]) * f + 0x4000) >> 15));
+    int left = (x0 + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, right = x1 / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
+    if (left >= right) left = right = 0;
+    shade_span(v, l, &k, y, 0, left, (const int16_t (*)[4])sky, rgb);
+    shade_span(v, l, &k, y, right, v->w, (const int16_t (*)[4])sky, rgb);
+}
+
+void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)
+{
+    for (int y = y0; y < y1; y++) orl_view_shade_row(v, l, cpu, y, 0, 0, rgb + (size_t)(y - y0) * row_bytes);
 }

@@ -286,7 +286,11 @@ static void shade(void *user, int begin, int end)
     orl_widen *w = s->w;
     size_t row = (size_t)w->wide.w * 3;
     orl_view_relight(&w->wide, w->tables, w->config.cpu, begin, end);
-    orl_view_shade(&w->wide, w->tables, w->config.cpu, begin, end, s->out + (size_t)begin * row, row);
+    for (int y = begin; y < end; y++) {
+        int x0 = 0, x1 = 0;
+        if (w->blend && !w->config.no_skip) orl_blend_covered(w->blend, y, &x0, &x1);
+        orl_view_shade_row(&w->wide, w->tables, w->config.cpu, y, x0, x1, s->out + (size_t)y * row);
+    }
 }
 
 orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out)

@@ -15,6 +15,7 @@ typedef struct {
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
     int blend;                          /* 0: the render alone */
+    int no_skip;                        /* shade also what the photo covers; the same picture */
     int threads;
     unsigned cpu;
 } orl_widen_config;

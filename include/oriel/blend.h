@@ -12,6 +12,8 @@ size_t orl_blend_need(int w, int h);            /* bytes for a wide view of w x 
  * Neither is kept. ORL_E_RANGE if the two centres differ, ORL_E_MEMORY if the block is too small. */
 orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, const orl_camera *wide, const orl_pose *wide_pose,
                        const uint8_t *cov, size_t cov_stride, const uint8_t *mask, void *block, size_t bytes, orl_blend **out);
+/* Columns [x0, x1) of a row of the wide view whose render the blend never reads: the photo's inside. */
+void orl_blend_covered(const orl_blend *b, int y, int *x0, int *x1);
 /* photo: its camera's size, tight RGB. wide: the render, tight RGB, overwritten by the blend. cpu: orl_cpu_detect() or a subset. Same bytes for any thread count and cpu. */
 void orl_blend_apply(orl_blend *b, const uint8_t *photo, uint8_t *wide, unsigned cpu, int threads);
 #endif

@@ -50,4 +50,6 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
 /* Updates vis when the sun moved, shades rows [y0, y1) into rgb8 (w * 3 bytes a row). flags: orl_cpu_detect() or a subset. */
 void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1);
 void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes);
+/* The same of one row, w * 3 bytes at rgb, but for columns [x0, x1), which may be left as they are: what a photo covers. */
+void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu, int y, int x0, int x1, uint8_t *rgb);
 #endif

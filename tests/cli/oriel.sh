@@ -42,6 +42,9 @@ db=$(grep -oE '"shadow, shade, tone ref".*"error_db": [0-9]+' "$W/out" | grep -o
 "$O" bench $scene $pose $clip | grep -q '^sun, traced' || fail "bench --scene"
 if command -v python3 >/dev/null; then python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json is not JSON"; fi
 expect 2 "wanted are --view, or both" "$O" bench $clip
+[ "$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --no-skip)" = "$baked" ] || fail "--no-skip: another picture"
+"$O" info "$W/kiosk.oriel" | grep -q "a photo of 160 x 120, .* widened to 200 x 120" || fail "info of a baked file"
+if command -v python3 >/dev/null; then "$O" info --json "$W/kiosk.oriel" | python3 -m json.tool >/dev/null || fail "info --json of a baked file"; fi
 expect 1 "no baked view" "$O" run --view "$W/scene.oriel" $clip --sink hash:
 expect 1 "no surface" "$O" run --scene "$W/kiosk.oriel" $pose $clip --sink hash:
 expect 2 "either --view or both" "$O" run --view "$W/kiosk.oriel" $pose $clip --sink hash:
