@@ -25,6 +25,7 @@ typedef struct {
     orl_light light;
     orl_light_jac jac;
     normal eq[2];
+    v4 across[ORL_C_TONE][3], within[3][LANES];     /* of the normal equations: light x a channel's tone, its tone x itself; lanes as tone_entry */
     double l[N][N];
     const orl_light_model *m;
     const orl_sample *s;
@@ -77,9 +78,24 @@ static void believe_in_sky(state *w, normal *q)
     }
 }
 
+/* Entry of a channel's tone: k 0..2 its row of A, 3 its b. */
+static int tone_entry(int c, int k) { return k < 3 ? ORL_C_TONE + 3 * c + k : ORL_C_TONE + 9 + c; }
+
+static void place_tone(const state *w, normal *q)
+{
+    for (int c = 0; c < 3; c++)
+        for (int k = 0; k < LANES; k++) {
+            int to = tone_entry(c, k);
+            for (int i = 0; i < ORL_C_TONE; i++) ((float *)q->h[i])[to] = w->across[i][c][k];
+            for (int i = 0; i <= k; i++) ((float *)q->h[tone_entry(c, i)])[to] = w->within[c][i][k];
+        }
+}
+
 static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
 {
     memset(q, 0, sizeof *q);
+    memset(w->across, 0, sizeof w->across);
+    memset(w->within, 0, sizeof w->within);
     orl_light_decode(w->m, code, &w->light);
     orl_light_jac_decode(w->m, &w->light, &w->jac);
     float t2 = tau * tau, b2 = tau_before * tau_before;
@@ -103,13 +119,28 @@ static void evaluate(state *w, const float *code, float tau_before, float tau, s
         q->kept += a;
         q->square += a * e2;
         const float *j0 = (const float *)j[0], *j1 = (const float *)j[1], *j2 = (const float *)j[2];
-        for (int k = 0; k < N; k++) {                                           /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
+        v4 tone[3];                                                             /* a channel's own tone: three of A, one of b; other channels' is nothing to it */
+        for (int c = 0; c < 3; c++) {
+            const float *t = (const float *)j[c] + ORL_C_TONE;
+            tone[c] = (v4){ t[3 * c], t[3 * c + 1], t[3 * c + 2], t[9 + c] };
+        }
+        for (int k = 0; k < ORL_C_TONE; k++) {                                  /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
             if (j0[k] == 0 && j1[k] == 0 && j2[k] == 0) continue;
             float a0 = a * j0[k], a1 = a * j1[k], a2 = a * j2[k];
             q->g[k] += a0 * r[0] + a1 * r[1] + a2 * r[2];
-            for (int b = k / LANES; b < BLOCKS; b++) q->h[k][b] += a0 * j[0][b] + a1 * j[1][b] + a2 * j[2][b];
+            for (int b = k / LANES; b <= ORL_C_TONE / LANES; b++) q->h[k][b] += a0 * j[0][b] + a1 * j[1][b] + a2 * j[2][b];
+            w->across[k][0] += a0 * tone[0];
+            w->across[k][1] += a1 * tone[1];
+            w->across[k][2] += a2 * tone[2];
         }
+        for (int c = 0; c < 3; c++)
+            for (int k = 0; k < LANES; k++) {
+                float at = a * tone[c][k];
+                w->within[c][k] += at * tone[c];
+                q->g[tone_entry(c, k)] += at * r[c];
+            }
     }
+    place_tone(w, q);
     float scale = (q->weight > INDEPENDENT ? INDEPENDENT / (float)q->weight : 1) / (w->sigma * w->sigma);
     float d[N];
     double prior = 0;

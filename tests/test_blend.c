@@ -182,6 +182,32 @@ static void threads_agree(void **state)
     free(first);
 }
 
+/* What the photo covers is never read: whatever the render holds there, the picture is the same. */
+static void inside_is_unread(void **state)
+{
+    (void)state;
+    uint8_t *first = malloc(WW * WH * 3);
+    int covered = 0;
+    for (int round = 0; round < 2; round++) {
+        setup s;
+        assert_int_equal(make(&s, lens(PW, PH, 150), lens(WW, WH, 100), NULL, NULL), ORL_OK);
+        for (size_t i = 0; i < PW * PH * 3; i++) s.photo[i] = (uint8_t)(i * 2654435761u >> 13);
+        for (size_t i = 0; i < WW * WH * 3; i++) s.wide[i] = (uint8_t)(i * 2246822519u >> 13);
+        for (int y = 0; y < WH; y++) {
+            int x0, x1;
+            orl_blend_covered(s.b, y, &x0, &x1);
+            assert_true(x0 >= 0 && x0 <= x1 && x1 <= WW);
+            for (int x = x0; x < x1; x++) { covered++; memset(at(&s, x, y), round ? 255 : 0, 3); }
+        }
+        orl_blend_apply(s.b, s.photo, s.wide, ORL_CPU_REF, 1);
+        if (!round) memcpy(first, s.wide, WW * WH * 3);
+        assert_memory_equal(first, s.wide, WW * WH * 3);
+        drop(&s);
+    }
+    assert_true(covered > 2 * 2500);            /* of the photo's 80 x 60 */
+    free(first);
+}
+
 static void extremes(void **state)
 {
     (void)state;
@@ -216,7 +242,7 @@ static void refusals(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(identity), cmocka_unit_test(geometry), cmocka_unit_test(agreement), cmocka_unit_test(offset_spreads), cmocka_unit_test(people), cmocka_unit_test(threads_agree),
+        cmocka_unit_test(identity), cmocka_unit_test(geometry), cmocka_unit_test(agreement), cmocka_unit_test(offset_spreads), cmocka_unit_test(people), cmocka_unit_test(threads_agree), cmocka_unit_test(inside_is_unread),
         cmocka_unit_test(extremes), cmocka_unit_test(refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
