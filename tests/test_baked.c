@@ -246,8 +246,62 @@ static void hostile_files(void **state)
     orl_scene_close(&s);
 }
 
+/* Bytes changed at random, checksums sound: refused, or a view that can be lit and shown. */
+static void random_bytes(void **state)
+{
+    (void)state;
+    uint64_t seed = (uint64_t)time(NULL), r = seed;
+    int taken = 0, named = 0;
+    print_message("seed %llu\n", (unsigned long long)seed);
+    write_file(at("v.oriel"));
+    orl_scene s;
+    assert_int_equal(orl_scene_open(at("v.oriel"), &s), ORL_OK);
+    for (int round = 0; round < 150; round++) {
+        orl_scene t = s;
+        uint8_t *copy[ORL_VIEWS];
+        for (int k = 0; k < ORL_VIEWS; k++) {
+            t.view[k] = copy[k] = malloc(s.view_bytes[k]);
+            memcpy(copy[k], s.view[k], s.view_bytes[k]);
+            for (int i = 0; i < round % 4 + 1; i++) {
+                r = r * 6364136223846793005u + 1442695040888963407u;
+                copy[k][(r >> 33) % (round & 1 ? 384 : s.view_bytes[k])] ^= (uint8_t)(1u << (r >> 29 & 7));
+            }
+        }
+        t.map = NULL;
+        assert_int_equal(orl_scene_write(at("x.oriel"), &t, NULL), ORL_OK);
+        orl_baked b;
+        if (orl_baked_open(at("x.oriel"), &b)) named += strstr(orl_error_text(), "x.oriel") != NULL;
+        else {
+            taken++;
+            for (int k = 0; k < ORL_VIEWS; k++) {
+                orl_view v;
+                size_t need = orl_view_attach_need(b.view[k].w, b.view[k].h);
+                void *room = orl_widen_block(need), *tables = orl_widen_block(orl_view_light_need());
+                uint8_t *rgb = malloc((size_t)b.view[k].w * (size_t)b.view[k].h * 3);
+                assert_int_equal(orl_view_attach(&b.view[k], room, need, &v), ORL_OK);
+                sun_at(0.4f * (float)round, 0.5f);
+                orl_view_light *l = orl_view_light_make(&v, &light, tables, orl_view_light_need());
+                orl_view_trace_sun(&v, &light, 0, v.h, 1);
+                orl_view_relight(&v, l, orl_cpu_detect(), 0, v.h);
+                orl_view_shade(&v, l, orl_cpu_detect(), 0, v.h, rgb, 3 * (size_t)v.w);
+                for (int i = 0; i < v.w * v.h; i++) {
+                    orl_sample q;
+                    orl_view_sample(&v, i % v.w, i / v.w, &q);
+                    assert_true(isfinite(q.normal[0] + q.albedo[1] + q.phi[3] + q.dir[2]));
+                }
+                free(room); free(tables); free(rgb);
+            }
+            orl_baked_close(&b);
+        }
+        for (int k = 0; k < ORL_VIEWS; k++) free(copy[k]);
+    }
+    orl_scene_close(&s);
+    print_message("%d taken, %d refused\n", taken, named);
+    assert_true(taken > 20 && named > 20 && taken + named == 150);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(comes_back), cmocka_unit_test(suns_agree), cmocka_unit_test(roofs_hide_high_suns), cmocka_unit_test(threads_agree), cmocka_unit_test(hostile_files) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(comes_back), cmocka_unit_test(suns_agree), cmocka_unit_test(roofs_hide_high_suns), cmocka_unit_test(threads_agree), cmocka_unit_test(hostile_files), cmocka_unit_test(random_bytes) };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }
