@@ -2,6 +2,7 @@
 #include "runtime/baked.h"
 #include <stdlib.h>
 #include <string.h>
+#include "runtime/commands.h"
 
 typedef struct {
     int32_t model, w, h, photo_w, photo_h;
@@ -159,6 +160,16 @@ orl_err orl_baked_open(const char *path, orl_baked *out)
     for (int k = 0; !e && k < ORL_VIEWS; k++) e = find(&b.scene, k, path, &b.view[k], k ? &own : &b.photo);
     if (e) { orl_scene_close(&b.scene); return e; }
     *out = b;
+    return ORL_OK;
+}
+
+orl_err orl_baked_cameras(const orl_baked *b, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide)
+{
+    orl_view_pose from = { .cam = b->photo, .pose = b->view[0].pose };
+    orl_err e = w ? orl_camera_fit(&from.cam, name, w, h) : ORL_OK;
+    if (e) return e;
+    *photo = from;
+    *wide = (orl_view_pose){ .cam = b->view[1].cam, .pose = b->view[1].pose };
     return ORL_OK;
 }
 

@@ -224,11 +224,8 @@ static orl_err bench(const options *o)
     size_t need = 0;
     orl_err e = !light ? orl_fail(ORL_E_MEMORY, "no memory") : o->baked ? orl_baked_open(o->baked, &baked) : orl_place_open(o->scene, &scene);
     if (!e && o->source) e = orl_source_open(o->source, &source);
-    if (!e && o->baked) {
-        from = (orl_view_pose){ .cam = baked.photo, .pose = baked.view[0].pose };
-        to = (orl_view_pose){ .cam = baked.view[1].cam, .pose = baked.view[1].pose };
-        if (source) e = orl_camera_fit(&from.cam, o->source, source->info.w, source->info.h);
-    } else if (!e) e = orl_views_find(&o->view, o->source ? o->source : o->view.pose, source ? source->info.w : 0, source ? source->info.h : 0, &from, &to);
+    int width = source ? source->info.w : 0, height = source ? source->info.h : 0;
+    if (!e) e = o->baked ? orl_baked_cameras(&baked, o->source, width, height, &from, &to) : orl_views_find(&o->view, o->source ? o->source : o->view.pose, width, height, &from, &to);
     if (!e && !o->baked) e = march(o, &scene, &to);
     if (!e) {
         orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose,

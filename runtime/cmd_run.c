@@ -103,11 +103,7 @@ static orl_err run(const options *o)
     if (e) return e;
     if ((e = orl_source_open(o->source, &source))) goto done;
     const orl_source_info *i = &source->info;
-    if (o->baked) {
-        from = (orl_view_pose){ .cam = baked.photo, .pose = baked.view[0].pose };
-        to = (orl_view_pose){ .cam = baked.view[1].cam, .pose = baked.view[1].pose };
-        e = orl_camera_fit(&from.cam, o->source, i->w, i->h);
-    } else e = orl_views_find(&o->view, o->source, i->w, i->h, &from, &to);
+    e = o->baked ? orl_baked_cameras(&baked, o->source, i->w, i->h, &from, &to) : orl_views_find(&o->view, o->source, i->w, i->h, &from, &to);
     if (e) goto done;
     orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .blend = !o->no_blend, .no_skip = o->no_skip,
                            .threads = o->threads, .cpu = o->cpu };
