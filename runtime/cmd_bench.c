@@ -115,7 +115,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
         double a = orl_seconds();
         t = orl_view_light_make(v, l, block, orl_view_light_need());
         double b = orl_seconds();
-        if (!i) orl_view_trace_sun(v, l, 0, v->h, 1);
+        if (!i) orl_view_trace_sun(v, l, 0, v->h, orl_cpu_detect(), 1);
         double c = orl_seconds();
         best[0] = fmin(best[0], b - a);
         if (!i) best[1] = c - b;

@@ -2,6 +2,7 @@
 #include "oriel/relight.h"
 #include <math.h>
 #include <string.h>
+#include "oriel/cpu.h"
 #include "oriel/math.h"
 #include "oriel/parallel.h"
 
@@ -36,7 +37,7 @@ void orl_relight_init(orl_view *view, const orl_light_model *model, const orl_pa
     orl_relight_set(out, sun);
 }
 
-void orl_relight_trace(orl_relight *r, int threads) { orl_view_trace_sun(r->view, &r->light, 0, r->view->h, threads); }
+void orl_relight_trace(orl_relight *r, int threads) { orl_view_trace_sun(r->view, &r->light, 0, r->view->h, orl_cpu_detect(), threads); }
 
 void orl_relight_pixel(const orl_relight *r, int x, int y, orl_layers *out)
 {

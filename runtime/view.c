@@ -459,7 +459,7 @@ static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const or
     return !orl_march(v->scene, o, sun, &h);
 }
 
-typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; } trace_job;
+typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; orl_kernels k; } trace_job;
 
 static void trace_row(const trace_job *j, int y)
 {
@@ -480,12 +480,13 @@ static void look_up_row(const trace_job *j, int y)
 {
     orl_view *v = j->v;
     uint8_t over[CHUNK], under[CHUNK];
+    if (!(j->l->sun_dir[2] > 0)) { memset(v->fix + (size_t)y * (size_t)v->stride, 0, (size_t)v->stride); return; }
     for (int x = 0; x < v->stride; x += CHUNK) {
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        vis_of(orl_vis_ref, v, v->horizon, &j->over, at, n, over);
-        vis_of(orl_vis_ref, v, v->ceiling, &j->under, at, n, under);
-        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)(j->l->sun_dir[2] > 0 ? -((over[i] * (255 - under[i]) + 255) / 510) : 0);      /* in 1/127 of over under / 255 - over */
+        vis_of(j->k.vis, v, v->horizon, &j->over, at, n, over);
+        vis_of(j->k.vis, v, v->ceiling, &j->under, at, n, under);
+        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)-((over[i] * (255 - under[i]) + 255) / 510);      /* in 1/127 of over under / 255 - over */
     }
 }
 
@@ -495,9 +496,10 @@ static void trace_rows(void *user, int begin, int end)
     for (int y = j->y0 + begin; y < j->y0 + end; y++) (j->v->ceiling ? look_up_row : trace_row)(j, y);
 }
 
-void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads)
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads)
 {
     trace_job j = { .v = v, .l = l, .y0 = y0 };
+    orl_kernels_init(&j.k, cpu);
     make_vis(&j.over, l);
     j.under = j.over;
     j.under.sun = QUARTER + ORL_VIS_SPAN - j.over.sun;              /* pi / 2 - elevation + half the soft sun */

@@ -170,14 +170,14 @@ static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
     float c = s->dir[0] * now[0] + s->dir[1] * now[1] + s->dir[2] * now[2];
     if (!s->traced || !(c > SUN_JUMPS)) {
         *s = (orl_sun_trace){ { now[0], now[1], now[2] }, v->h, 1 };
-        orl_view_trace_sun(v, w->light, 0, v->h, w->config.threads);
+        orl_view_trace_sun(v, w->light, 0, v->h, w->config.cpu, w->config.threads);
         return;
     }
     if (s->row == v->h && !(c > SUN_CREEPS)) *s = (orl_sun_trace){ { now[0], now[1], now[2] }, 0, 1 };
     if (s->row == v->h) return;
     int end = s->row + (v->h + BANDS - 1) / BANDS;
     if (end > v->h) end = v->h;
-    orl_view_trace_sun(v, w->light, s->row, end, w->config.threads);
+    orl_view_trace_sun(v, w->light, s->row, end, w->config.cpu, w->config.threads);
     s->row = end;
 }
 

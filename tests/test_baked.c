@@ -109,11 +109,11 @@ static void suns_agree(void **state)
     for (int i = 0; i < 24; i++) {
         sun_at((float)i * 0.9f - 3, 0.1f + 0.055f * (float)i);
         orl_view_light *t = orl_view_light_make(&view[1], &light, tables, orl_view_light_need());
-        orl_view_trace_sun(&view[1], &light, 0, H, 1);
+        orl_view_trace_sun(&view[1], &light, 0, H, orl_cpu_detect(), 1);
         orl_view_relight(&view[1], t, ORL_CPU_REF, 0, H);
         memcpy(traced, view[1].vis, n);
         t = orl_view_light_make(&baked, &light, tables, orl_view_light_need());
-        orl_view_trace_sun(&baked, &light, 0, H, 2);
+        orl_view_trace_sun(&baked, &light, 0, H, orl_cpu_detect(), 2);
         orl_view_relight(&baked, t, ORL_CPU_REF, 0, H);
         for (int p = 0; p < W * H; p++) {
             orl_sample q;
@@ -154,7 +154,7 @@ static void roofs_hide_high_suns(void **state)
     for (size_t c = 0; c < sizeof CASE / sizeof *CASE; c++) {
         sun_at(0.3f, CASE[c].el * 0.0174533f);
         orl_view_light *t = orl_view_light_make(&v, &light, tables, orl_view_light_need());
-        orl_view_trace_sun(&v, &light, 0, 1, 1);
+        orl_view_trace_sun(&v, &light, 0, 1, orl_cpu_detect(), 1);
         orl_view_relight(&v, t, ORL_CPU_REF, 0, 1);
         for (int p = 0; p < 3; p++) {
             orl_sample q;
@@ -281,7 +281,7 @@ static void random_bytes(void **state)
                 assert_int_equal(orl_view_attach(&b.view[k], room, need, &v), ORL_OK);
                 sun_at(0.4f * (float)round, 0.5f);
                 orl_view_light *l = orl_view_light_make(&v, &light, tables, orl_view_light_need());
-                orl_view_trace_sun(&v, &light, 0, v.h, 1);
+                orl_view_trace_sun(&v, &light, 0, v.h, orl_cpu_detect(), 1);
                 orl_view_relight(&v, l, orl_cpu_detect(), 0, v.h);
                 orl_view_shade(&v, l, orl_cpu_detect(), 0, v.h, rgb, 3 * (size_t)v.w);
                 for (int i = 0; i < v.w * v.h; i++) {

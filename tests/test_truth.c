@@ -1,6 +1,7 @@
 /* Figures against ground truth, on a scene whose truth is the scene itself: each figure says so, and says what was changed in the truth. */
 #include "tests/scratch.h"
 #include <math.h>
+#include "oriel/cpu.h"
 #include "oriel/view.h"
 #include "tests/synth_scene.h"
 #include "trainer/truth.h"
@@ -117,7 +118,7 @@ static int set_up(void **state)
     put("gt/a_depth.exr", true_depth, 1);
     put("gt/a_normal.exr", true_normal, 3);
     by_hand();
-    orl_view_trace_sun(&view, &light, 0, H, 1);
+    orl_view_trace_sun(&view, &light, 0, H, ORL_CPU_REF, 1);
     return 0;
 }
 

@@ -359,7 +359,7 @@ static void test_sun(void **state)
     code[ORL_C_SUN_EL] = 0.6f;
     orl_light_decode(&scene.light, code, &light);
     build(&b, &cam, &pose, 1, 1);
-    for (int y = cam.h - 1; y >= 0; y--) orl_view_trace_sun(&b.v, &light, y, y + 1, 1);
+    for (int y = cam.h - 1; y >= 0; y--) orl_view_trace_sun(&b.v, &light, y, y + 1, ORL_CPU_REF, 1);
     orl_view_relight(&b.v, orl_view_light_make(&b.v, &light, block, orl_view_light_need()), orl_cpu_detect(), 0, cam.h);
     int seen = 0, dark = 0, wrong = 0;
     for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
@@ -384,13 +384,13 @@ static void test_sun(void **state)
     size_t n = (size_t)b.v.stride * (size_t)b.v.h;
     int8_t *zero = calloc(n, 1);
     light.sun_dir[2] = -0.1f;                   /* under the horizon: the horizons tell */
-    orl_view_trace_sun(&b.v, &light, 0, cam.h, 1);
+    orl_view_trace_sun(&b.v, &light, 0, cam.h, ORL_CPU_REF, 1);
     assert_memory_equal(b.v.fix, zero, n);
     orl_scene open = scene;
     open.lite = NULL;                           /* a scene in which nothing hides the sun */
     light.sun_dir[2] = 0.5f;
     b.v.scene = &open;
-    orl_view_trace_sun(&b.v, &light, 0, cam.h, 1);
+    orl_view_trace_sun(&b.v, &light, 0, cam.h, ORL_CPU_REF, 1);
     assert_memory_equal(b.v.fix, zero, n);
     free(zero);
     free(block);

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include "oriel/cpu.h"
 
 enum { PIXELS = 3000, TRACES = 2 };         /* TRACES: as the runtime's (runtime/widen.c) */
 
@@ -77,7 +78,7 @@ orl_err predict_light(const orl_scene *s, orl_view *v, const orl_image *known, i
             e = adapt(&s->light, sample, n, pass ? out->code : NULL, out);
             if (e || pass == TRACES) break;
             orl_light_decode(&s->light, out->code, light);
-            orl_view_trace_sun(v, light, 0, v->h, threads);
+            orl_view_trace_sun(v, light, 0, v->h, orl_cpu_detect(), threads);
         }
     } else {
         e = orl_fail(ORL_E_MEMORY, "eval: no memory for samples");
@@ -95,7 +96,7 @@ orl_err predict_shade(orl_view *v, const orl_light *light, int threads, unsigned
     if (!e) {
         orl_view_light *l = orl_view_light_make(v, light, mem, need);
         if (l) {
-            orl_view_trace_sun(v, light, 0, v->h, threads);
+            orl_view_trace_sun(v, light, 0, v->h, orl_cpu_detect(), threads);
             orl_view_relight(v, l, cpu, 0, v->h);
             orl_view_shade(v, l, cpu, 0, v->h, im.px, (size_t)v->w * 3);
             *out = im;

@@ -2,6 +2,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include "oriel/cpu.h"
 #include "trainer/report.h"
 
 static const double DEGREES = 57.29577951;
@@ -175,7 +176,7 @@ orl_err report_add_photo(page *p, const orl_photo *photo, const eval_setup *setu
     if (!e) {
         row->name = photo->name;
         orl_light_decode(&p->s->light, pred.adapt[EVAL_FIXED].code, light);
-        orl_view_trace_sun(&v, light, 0, v.h, p->o->threads);
+        orl_view_trace_sun(&v, light, 0, v.h, orl_cpu_detect(), p->o->threads);
         e = add_article(p, photo, &im, &pred.rgb[EVAL_FIXED], &v, light, row, half);
         *shown = !e;
     }

@@ -40,8 +40,8 @@ enum { ORL_VIEW_NORMALS = 64 * 64 };                                /* palette e
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
 
 /* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
- * sun moves, so trace again where it moved by more than a degree or so. A baked view looks it up. Bit-identical for any thread count. */
-void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, int threads);
+ * sun moves, so trace again where it moved by more than a degree or so. A baked view looks it up. Bit-identical for any thread count and cpu. */
+void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads);
 
 /* Tables of one light in fixed point (formats in runtime/kernels/shade.h). */
 typedef struct orl_view_light orl_view_light;
