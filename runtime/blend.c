@@ -259,11 +259,20 @@ static int robust(int d)
     return a * a >> 8;
 }
 
+/* The same for a footprint of one photo pixel, that is where the wide view is the finer one: four pixels at most. */
+static void interpolate(const orl_blend *b, int u, int v, uint8_t rgb[3])
+{
+    const uint32_t fx = u & 255, fy = v & 255, w[4] = { (256 - fx) * (256 - fy), fx * (256 - fy), (256 - fx) * fy, fx * fy };
+    const uint8_t *p = b->photo + ((size_t)(v >> 8) * (size_t)b->pw + (size_t)(u >> 8)) * 3, *right = p + (fx ? 3 : 0), *low = p + (fy ? 3 * (size_t)b->pw : 0), *last = low + (right - p);
+    for (int c = 0; c < 3; c++) rgb[c] = (uint8_t)((w[0] * p[c] + w[1] * right[c] + w[2] * low[c] + w[3] * last[c] + (1 << 15)) >> 16);
+}
+
 /* Rows of cells: the photo into the wide raster, the seam's differences into the cells. */
 static void measure(void *user, int begin, int end)
 {
     orl_blend *b = user;
     size_t cells = (size_t)b->gw * (size_t)b->gh;
+    const int fine = b->box_x == 256 && b->box_y == 256;
     for (int cy = begin; cy < end; cy++) {
         for (int k = 0; k < LAYERS; k++) memset(b->sum + ((size_t)k * cells + (size_t)cy * (size_t)b->gw) * 4, 0, (size_t)b->gw * 4 * sizeof *b->sum);
         int y1 = (cy + 1) * b->cell < b->h ? (cy + 1) * b->cell : b->h;
@@ -273,7 +282,8 @@ static void measure(void *user, int begin, int end)
                 uint8_t *p = b->warped + 3 * i;
                 const uint8_t *r = b->wide + 3 * i;
                 if (!b->weight[i] && !b->seam[i]) continue;
-                average(b, b->at[2 * i], b->at[2 * i + 1], p);
+                if (fine) interpolate(b, b->at[2 * i], b->at[2 * i + 1], p);
+                else average(b, b->at[2 * i], b->at[2 * i + 1], p);
                 if (!b->seam[i]) continue;
                 int d[3] = { p[0] - r[0], p[1] - r[1], p[2] - r[2] }, worst = 0;
                 for (int c = 0; c < 3; c++) worst = abs(d[c]) > worst ? abs(d[c]) : worst;
