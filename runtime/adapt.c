@@ -238,16 +238,20 @@ done:
     *last = at;
 }
 
+int orl_adapt_telling(const float c[3])
+{
+    int black = c[0] < 3.0f / 255 && c[1] < 3.0f / 255 && c[2] < 3.0f / 255, burnt = c[0] >= 250.0f / 255 && c[1] >= 250.0f / 255 && c[2] >= 250.0f / 255;
+    return !black && !burnt;
+}
+
 /* Does the photo say anything: some samples neither black nor burnt out. */
 static int informative(const orl_sample *s, size_t n)
 {
     double all = 0, good = 0;
     for (size_t i = 0; i < n; i++) {
         if (!usable(&s[i])) continue;
-        const float *c = s[i].rgb;
-        int black = c[0] < 3.0f / 255 && c[1] < 3.0f / 255 && c[2] < 3.0f / 255, burnt = c[0] >= 250.0f / 255 && c[1] >= 250.0f / 255 && c[2] >= 250.0f / 255;
         all += s[i].weight;
-        if (!black && !burnt) good += s[i].weight;
+        if (orl_adapt_telling(s[i].rgb)) good += s[i].weight;
     }
     return all > 0 && good > 0.005 * all;
 }

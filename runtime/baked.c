@@ -2,6 +2,7 @@
 #include "runtime/baked.h"
 #include <stdlib.h>
 #include <string.h>
+#include "runtime/arena.h"
 #include "runtime/commands.h"
 
 typedef struct {
@@ -15,8 +16,6 @@ _Static_assert(sizeof(head_bytes) == 384, "size of SCENE.md 4.16");
 
 enum { SIDE_MAX = 16384 };
 static const char *const TAG[ORL_VIEWS] = { "VPHO", "VWID" };
-
-static size_t align64(size_t x) { return (x + 63) & ~(size_t)63; }
 
 /* The planes in their order: calls each(user, plane, bytes) for all of v's. */
 typedef void each_plane(void *user, const void **plane, size_t bytes);
@@ -37,26 +36,26 @@ static void planes(orl_view *v, each_plane *each, void *user)
 
 typedef struct { uint8_t *base; size_t used; } cursor;
 
-static void count_plane(void *user, const void **plane, size_t bytes) { (void)plane; ((cursor *)user)->used += align64(bytes); }
+static void count_plane(void *user, const void **plane, size_t bytes) { (void)plane; ((cursor *)user)->used += orl_align64(bytes); }
 
 static void store_plane(void *user, const void **plane, size_t bytes)
 {
     cursor *c = user;
     memcpy(c->base + c->used, *plane, bytes);
-    memset(c->base + c->used + bytes, 0, align64(bytes) - bytes);
-    c->used += align64(bytes);
+    memset(c->base + c->used + bytes, 0, orl_align64(bytes) - bytes);
+    c->used += orl_align64(bytes);
 }
 
 static void find_plane(void *user, const void **plane, size_t bytes)
 {
     cursor *c = user;
     *plane = c->base + c->used;
-    c->used += align64(bytes);
+    c->used += orl_align64(bytes);
 }
 
 static size_t section_bytes(int w, int h)
 {
-    orl_view v = { .stride = (w + 31) & ~31, .h = h };
+    orl_view v = { .stride = orl_view_stride(w), .h = h };
     cursor c = { NULL, sizeof(head_bytes) };
     planes(&v, count_plane, &c);
     return c.used;
@@ -121,7 +120,7 @@ static int rotation(const double R[9])
     return R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]) > 0;
 }
 
-static orl_err find(const orl_scene *s, int k, const char *name, orl_view *out, orl_camera *photo)
+static orl_err find_view(const orl_scene *s, int k, const char *name, orl_view *out, orl_camera *photo)
 {
     const char *tag = TAG[k];
     if (s->view_bytes[k] < sizeof(head_bytes)) return orl_fail(ORL_E_FORMAT, "%s: section %s: %llu bytes", name, tag, (unsigned long long)s->view_bytes[k]);
@@ -137,7 +136,7 @@ static orl_err find(const orl_scene *s, int k, const char *name, orl_view *out, 
     for (size_t i = 0; i < sizeof h->reserved; i++) if (h->reserved[i]) return orl_fail(ORL_E_FORMAT, "%s: section %s: reserved bytes are not 0", name, tag);
     v.w = h->w;
     v.h = h->h;
-    v.stride = (h->w + 31) & ~31;
+    v.stride = orl_view_stride(h->w);
     memcpy(v.pose.R, h->R, sizeof h->R);
     memcpy(v.pose.t, h->t, sizeof h->t);
     memcpy(v.grid_from_cam, h->turn, sizeof h->turn);
@@ -150,15 +149,26 @@ static orl_err find(const orl_scene *s, int k, const char *name, orl_view *out, 
     return ORL_OK;
 }
 
+orl_err orl_baked_views(const orl_scene *s, const char *name, orl_view view[ORL_VIEWS], orl_camera *photo)
+{
+    orl_view v[ORL_VIEWS];
+    orl_camera own, recorded;
+    if (!s->view[0]) return orl_fail(ORL_E_FORMAT, "%s: it holds no baked view (`oriel bake` makes one)", name);
+    for (int k = 0; k < ORL_VIEWS; k++) {
+        orl_err e = find_view(s, k, name, &v[k], k ? &own : &recorded);
+        if (e) return e;
+    }
+    memcpy(view, v, sizeof v);
+    *photo = recorded;
+    return ORL_OK;
+}
+
 orl_err orl_baked_open(const char *path, orl_baked *out)
 {
     orl_baked b = { 0 };
-    orl_camera own;
     orl_err e = orl_scene_open(path, &b.scene);
     if (e) return e;
-    if (!b.scene.view[0]) e = orl_fail(ORL_E_FORMAT, "%s: it holds no baked view (`oriel bake` makes one)", path);
-    for (int k = 0; !e && k < ORL_VIEWS; k++) e = find(&b.scene, k, path, &b.view[k], k ? &own : &b.photo);
-    if (e) { orl_scene_close(&b.scene); return e; }
+    if ((e = orl_baked_views(&b.scene, path, b.view, &b.photo))) { orl_scene_close(&b.scene); return e; }
     *out = b;
     return ORL_OK;
 }

@@ -14,6 +14,8 @@ typedef struct {
 orl_err orl_baked_write(const char *path, const orl_scene *s, const orl_camera *photo, const orl_view view[ORL_VIEWS], size_t *bytes_out);
 /* ORL_E_FORMAT and ORL_E_RANGE name file, section and field; a scene file is ORL_E_FORMAT. */
 orl_err orl_baked_open(const char *path, orl_baked *out);
+/* The views of a scene struct that is open already; name stands in messages. */
+orl_err orl_baked_views(const orl_scene *s, const char *name, orl_view view[ORL_VIEWS], orl_camera *photo);
 void orl_baked_close(orl_baked *b);
 /* As orl_views_find: the cameras, the photo's at the size of the pictures that come from `name` (w 0: as recorded). */
 orl_err orl_baked_cameras(const orl_baked *b, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide);

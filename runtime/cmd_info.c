@@ -50,8 +50,9 @@ int orl_cmd_info(int argc, char **argv)
         orl_scene_close(&s);
         return ORL_EXIT_FAILED;
     }
-    orl_baked b = { 0 };
-    if (s.view[0] && orl_baked_open(path, &b)) {
+    orl_view view[ORL_VIEWS];
+    orl_camera photo;
+    if (s.view[0] && orl_baked_views(&s, path, view, &photo)) {
         orl_scene_close(&s);
         return ORL_EXIT_FAILED;
     }
@@ -77,7 +78,7 @@ int orl_cmd_info(int argc, char **argv)
                s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, s.nbricks, s.ntextures, s.lite ? "true" : "false", s.facings.n, (double)s.backdrop.half[0] / (4.0 * (s.nb[0] ? s.nb[0] : 1)), shadow, env, own, s.ncodes);
         for (int i = 0; i < 12; i++) printf("%s%.17g", i ? ", " : "", g[i]);
         printf("]");
-        if (s.view[0]) printf(", \"photo\": [%d, %d], \"views\": [[%d, %d], [%d, %d]]", b.photo.w, b.photo.h, b.view[0].w, b.view[0].h, b.view[1].w, b.view[1].h);
+        if (s.view[0]) printf(", \"photo\": [%d, %d], \"views\": [[%d, %d], [%d, %d]]", photo.w, photo.h, view[0].w, view[0].h, view[1].w, view[1].h);
         printf("}\n");
     } else {
         printf("%s: %.64s, %zu bytes\n", path, s.title, s.map_bytes);
@@ -87,13 +88,12 @@ int orl_cmd_info(int argc, char **argv)
         if (total) printf("textures  %u of base colour, %d texels a cell, %.2f a brick\n", s.ntextures, ORL_SKIN_PER_CELL, s.ntextures / (double)(s.nbricks + !s.nbricks));
         if (s.facings.n) printf("facings   %d directions that walls have\n", s.facings.n);
         if (s.backdrop_rgba) printf("backdrop  on walls %.3g times as far away as the box's\n", (double)s.backdrop.half[0] / (4.0 * s.nb[0]));
-        if (s.view[0]) printf("baked     a photo of %d x %d, its light found in %d x %d, widened to %d x %d\n", b.photo.w, b.photo.h, b.view[0].w, b.view[0].h, b.view[1].w, b.view[1].h);
+        if (s.view[0]) printf("baked     a photo of %d x %d, its light found in %d x %d, widened to %d x %d\n", photo.w, photo.h, view[0].w, view[0].h, view[1].w, view[1].h);
         printf("light     %d of %d environment dimensions, %d of %d of the sky's own", env, ORL_ENV_DIM, own, ORL_SKY_DIM);
         if (total) printf(", %s, %d of %d shadow features", s.lite ? "openness and horizons" : "no horizons", shadow, ORL_SHADOW_DIM);
         printf("\n");
         printf("codes     %u training photos\n", s.ncodes);
     }
-    orl_baked_close(&b);
     orl_scene_close(&s);
     return ORL_EXIT_DONE;
 }

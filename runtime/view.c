@@ -4,6 +4,7 @@
 #include <string.h>
 #include "oriel/math.h"
 #include "oriel/parallel.h"
+#include "runtime/arena.h"
 #include "runtime/kernels/shade.h"
 #include "runtime/march.h"
 
@@ -19,9 +20,8 @@ struct orl_view_light {
     int16_t sky[NODES * NODES][4];      /* encoded sky at the nodes, Q13 */
 };
 
-static size_t align64(size_t x) { return (x + 63) & ~(size_t)63; }
 static size_t plane_size(const orl_view *v) { return (size_t)v->stride * (size_t)v->h; }
-static int padded(int w) { return (w + 31) & ~31; }
+int orl_view_stride(int w) { return (w + 31) & ~31; }
 
 /* ---- layout */
 
@@ -29,7 +29,7 @@ static int padded(int w) { return (w + 31) & ~31; }
 static size_t place(orl_view *v, uint8_t *block)
 {
     size_t n = (size_t)v->stride * (size_t)v->h, at = 0;
-#define PLANE(p, type, per) do { if (block) v->p = (type *)(block + at); at += align64(n * per * sizeof(type)); } while (0)
+#define PLANE(p, type, per) do { if (block) v->p = (type *)(block + at); at += orl_align64(n * per * sizeof(type)); } while (0)
     PLANE(normal, uint16_t, 1);
     for (int c = 0; c < 3; c++) PLANE(albedo[c], uint16_t, 1);
     PLANE(open, uint8_t, 1);
@@ -41,12 +41,12 @@ static size_t place(orl_view *v, uint8_t *block)
     PLANE(depth, uint16_t, 1);
 #undef PLANE
     if (block) v->sky = block + at;
-    return at + align64(sizeof(sky_grid));
+    return at + orl_align64(sizeof(sky_grid));
 }
 
 size_t orl_view_need(int w, int h)
 {
-    orl_view v = { .w = w, .h = h, .stride = padded(w) };
+    orl_view v = { .w = w, .h = h, .stride = orl_view_stride(w) };
     return w > 0 && h > 0 ? place(&v, NULL) : 0;
 }
 
@@ -232,8 +232,8 @@ static void build_sky(orl_view *v)
 
 size_t orl_view_attach_need(int w, int h)
 {
-    size_t n = (size_t)padded(w) * (size_t)h;
-    return w > 0 && h > 0 ? align64(n) + align64(n) + align64(sizeof(sky_grid)) : 0;
+    size_t n = (size_t)orl_view_stride(w) * (size_t)h;
+    return w > 0 && h > 0 ? orl_align64(n) + orl_align64(n) + orl_align64(sizeof(sky_grid)) : 0;
 }
 
 orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_view *out)
@@ -242,8 +242,8 @@ orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_vie
     orl_view v = *from;
     size_t n = (size_t)v.stride * (size_t)v.h;
     v.fix = block;
-    v.vis = (uint8_t *)block + align64(n);
-    v.sky = v.vis + align64(n);
+    v.vis = (uint8_t *)block + orl_align64(n);
+    v.sky = v.vis + orl_align64(n);
     memset(v.fix, 0, n);
     memset(v.vis, 255, n);
     build_sky(&v);
@@ -264,7 +264,7 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     double det = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
-    orl_view v = { .w = cam->w, .h = cam->h, .stride = padded(cam->w), .cam = *cam, .pose = *pose, .scene = s };
+    orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
     build_job j = { s, &v, supersample, { 0 } };
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
@@ -418,7 +418,7 @@ static void make_sky(int16_t (*out)[4], const sky_grid *g, const orl_light *l)
     }
 }
 
-size_t orl_view_light_need(void) { return align64(sizeof(orl_view_light)); }
+size_t orl_view_light_need(void) { return orl_align64(sizeof(orl_view_light)); }
 
 orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void *block, size_t bytes)
 {

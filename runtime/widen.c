@@ -11,7 +11,7 @@ enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
 #define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
-void *orl_widen_block(size_t bytes) { return aligned_alloc(64, (bytes + 63) & ~(size_t)63); }
+void *orl_widen_block(size_t bytes) { return aligned_alloc(64, orl_align64(bytes)); }
 
 orl_camera orl_widen_small(const orl_camera *photo)
 {

@@ -47,7 +47,7 @@ static int says_something(const stage2_pixel *q, uint32_t n)
     uint32_t good = 0;
     for (uint32_t i = 0; i < n; i++) {
         const uint8_t *c = q[i].rgb;
-        good += !(c[0] < 3 && c[1] < 3 && c[2] < 3) && !(c[0] >= 250 && c[1] >= 250 && c[2] >= 250);
+        good += (uint32_t)orl_adapt_telling((const float[]){ c[0] / 255.0f, c[1] / 255.0f, c[2] / 255.0f });
     }
     return good > n / 200;
 }

@@ -22,6 +22,8 @@ typedef struct {
     orl_adapt_status status;/* DEGENERATE: no usable sample or singular equations; code is then the prior mean (or init) */
 } orl_adapt_result;
 
+/* Is a colour (sRGB, 0..1) neither black nor burnt out? A photo with fewer than one in 200 such pixels is DEGENERATE. */
+int orl_adapt_telling(const float rgb[3]);
 orl_adapt_options orl_adapt_defaults(void);
 size_t orl_adapt_need(void);                            /* bytes of work memory, 64-byte aligned */
 /* samples with weight 0 are skipped. Robust weight: Geman-McClure on the residual's RGB norm. A channel observed >= 250/255 with a brighter model counts as fitting (saturated). init: NULL = several starts from the prior mean.

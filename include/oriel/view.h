@@ -24,6 +24,7 @@ typedef struct {
     void *sky;                      /* coarse grid of sky directions, private */
 } orl_view;
 
+int orl_view_stride(int w);                                         /* pixels of a padded row */
 size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
 /* Marches every pixel; supersample 1 or 2 (2: four rays a pixel, attributes averaged, coverage counted). Bit-identical for any thread count. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
