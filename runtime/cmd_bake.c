@@ -27,12 +27,10 @@ static int parse(int argc, char **argv, options *o)
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (orl_option_view(c, &o->view, &e)) continue;
         switch (c) {
         case 's': o->scene = optarg; break;
-        case 'p': o->view.pose = optarg; break;
         case 'o': o->out = optarg; break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 't': e = orl_option_int("--threads", optarg, 0, 64, &o->threads); break;
         case 'h': printf("%s", HELP); return -1;
         default: return ORL_EXIT_USAGE;

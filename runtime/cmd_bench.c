@@ -263,14 +263,12 @@ static int parse(int argc, char **argv, options *o)
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (orl_option_view(c, &o->view, &e)) continue;
         switch (c) {
         case 's': o->scene = optarg; break;
-        case 'p': o->view.pose = optarg; break;
         case 'v': o->baked = optarg; break;
         case 'S': o->source = optarg; break;
         case 'n': e = orl_option_int("--frames", optarg, 2, 1 << 30, &o->frames); break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 'j': o->json = 1; break;
         case 'h': printf("%s", HELP); return -1;
         default:

@@ -37,12 +37,9 @@ static int parse(int argc, char **argv, options *o)
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (orl_option_view(c, &o->view, &e)) continue;
         switch (c) {
         case 's': o->scene = optarg; break;
-        case 'p': o->view.pose = optarg; break;
-        case 'c': o->view.colmap = optarg; break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 'm': o->mask = optarg; break;
         case 'b': o->no_blend = 1; break;
         case 'r': o->report = 1; break;

@@ -299,14 +299,11 @@ static int parse(int argc, char **argv, options *o)
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (orl_option_view(c, &o->view, &e)) continue;
         switch (c) {
         case 's': o->scene = optarg; break;
         case 'k': o->sky = optarg; break;
-        case 'p': o->view.pose = optarg; break;
-        case 'c': o->view.colmap = optarg; break;
         case 'n': o->photo = optarg; break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 'r': e = orl_option_real("--rotate", optarg, -360, 360, &o->rotate); break;
         case 'e': e = orl_option_real("--exposure", optarg, -20, 20, &o->exposure); break;
         case 'S': e = parse_sun(optarg, o); break;

@@ -45,14 +45,12 @@ static int parse(int argc, char **argv, options *o)
     int first = 1, n = 0;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
+        if (orl_option_view(c, &o->view, &e)) continue;
         switch (c) {
         case 's': o->scene = optarg; break;
-        case 'p': o->view.pose = optarg; break;
         case 'v': o->baked = optarg; break;
         case 'S': o->source = optarg; break;
         case 'D': o->sink = optarg; break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o->view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o->view.w, &o->view.h); break;
         case 'n': e = orl_option_int("--frames", optarg, 1, 1 << 30, &n); o->run.frames = n; break;
         case 'a': e = orl_option_int("--adapt-every", optarg, 1, 1 << 30, &o->run.adapt_every); break;
         case 'b': o->no_blend = 1; break;

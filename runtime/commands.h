@@ -29,6 +29,8 @@ typedef struct { const char *pose, *colmap; double widen, otherwise; int w, h; }
  * the pose file's second line, unless widen or size ask for another; without either the field of view `otherwise` times as wide. Size: the photo's scale, at most 4096 pixels. */
 orl_err orl_views_find(const orl_view_request *q, const char *name, int w, int h, orl_view_pose *photo, orl_view_pose *wide);
 
+/* Those options, 'p', 'c', 'w', 'z' in a table: 1 if c is one of them, with optarg taken or *e what is wrong with it. */
+int orl_option_view(int c, orl_view_request *v, orl_err *e);
 /* A camera at the size of the pictures that come from `name`: ORL_E_FORMAT if they have another shape. */
 orl_err orl_camera_fit(orl_camera *c, const char *name, int w, int h);
 

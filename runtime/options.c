@@ -50,6 +50,17 @@ orl_err orl_option_size(const char *option, const char *text, int *w, int *h)
     return ORL_OK;
 }
 
+int orl_option_view(int c, orl_view_request *v, orl_err *e)
+{
+    switch (c) {
+    case 'p': v->pose = optarg; return 1;
+    case 'c': v->colmap = optarg; return 1;
+    case 'w': *e = orl_option_real("--widen", optarg, 0.1, 20, &v->widen); return 1;
+    case 'z': *e = orl_option_size("--size", optarg, &v->w, &v->h); return 1;
+    }
+    return 0;
+}
+
 double orl_seconds(void)
 {
     struct timespec t;
