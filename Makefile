@@ -33,7 +33,7 @@ FLAGS := -g -O3 -Wall -Wextra -D_GNU_SOURCE -Iinclude -I. -MMD -MP $(CPU) $(DEFS
 LINK := $(if $(SAN),-fsanitize=address$(,)undefined) $(LDFLAGS)
 
 KERNELS := $(wildcard runtime/kernels/*.c)
-NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c)
+NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c %_avx512.c)
 LIB := $(wildcard formats/*.c) $(filter-out runtime/main.c runtime/cmd_%.c,$(wildcard runtime/*.c)) $(filter-out $(NOT),$(KERNELS))
 APP := $(wildcard runtime/main.c runtime/cmd_*.c)
 MPI ?= $(if $(SAN)$(filter-out host,$(BOARD)),,$(shell command -v mpicc))
@@ -73,6 +73,7 @@ $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
 $B/obj/trainer/ranks_mpi.o: ISA = $(filter -I%,$(MPI_SHOW))
 $B/obj/trainer/mlp.o $B/obj/trainer/encoding.o $B/obj/trainer/nerfw.o: ISA = $(TRAIN_ARCH) -ffp-contract=fast -fno-math-errno
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
+$(call obj,$(filter %_avx512.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2 -mavx512f -mavx512bw -mavx512dq -mavx512vl -mavx512vbmi -mavx512vnni
 $(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 
 tests: all $(TESTS) $(TOOLS)

@@ -18,7 +18,7 @@ static const char HELP[] =
     "  --no-blend       the render alone\n"
     "  --report         light found and time of each stage, on standard output\n"
     "  --threads N      0: one per core\n"
-    "  --cpu NAME       auto, ref, avx2, neon, dotprod\n"
+    "  --cpu NAME       auto, ref, avx2, avx512, neon, dotprod\n"
     "  --help           this text\n";
 
 typedef struct {

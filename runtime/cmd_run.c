@@ -24,7 +24,7 @@ static const char HELP[] =
     "  --realtime         hold back to the source's frame rate\n"
     "  --report           pictures, time of each stage, on standard error\n"
     "  --threads N        0: one per core\n"
-    "  --cpu NAME         auto, ref, avx2, neon, dotprod\n"
+    "  --cpu NAME         auto, ref, avx2, avx512, neon, dotprod\n"
     "  --help             this text\n";
 
 typedef struct {

@@ -9,7 +9,8 @@
 unsigned orl_cpu_detect(void)
 {
 #if defined(__x86_64__)
-    return __builtin_cpu_supports("avx2") ? ORL_CPU_AVX2 : ORL_CPU_REF;
+    int avx512 = __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vbmi") && __builtin_cpu_supports("avx512vnni");
+    return __builtin_cpu_supports("avx2") ? ORL_CPU_AVX2 | (avx512 ? ORL_CPU_AVX512 : 0) : ORL_CPU_REF;
 #elif defined(__aarch64__)
     return ORL_CPU_NEON | (getauxval(AT_HWCAP) & HWCAP_ASIMDDP ? ORL_CPU_DOTPROD : 0);
 #else
@@ -18,7 +19,7 @@ unsigned orl_cpu_detect(void)
 }
 
 static const struct { const char *name; unsigned flags; } names[] = {
-    { "dotprod", ORL_CPU_NEON | ORL_CPU_DOTPROD }, { "neon", ORL_CPU_NEON }, { "avx2", ORL_CPU_AVX2 }, { "ref", ORL_CPU_REF },     /* best first */
+    { "dotprod", ORL_CPU_NEON | ORL_CPU_DOTPROD }, { "neon", ORL_CPU_NEON }, { "avx512", ORL_CPU_AVX2 | ORL_CPU_AVX512 }, { "avx2", ORL_CPU_AVX2 }, { "ref", ORL_CPU_REF },     /* best first */
 };
 
 orl_err orl_cpu_from_name(const char *name, unsigned *flags)
@@ -30,7 +31,7 @@ orl_err orl_cpu_from_name(const char *name, unsigned *flags)
         *flags = names[i].flags;
         return ORL_OK;
     }
-    return orl_fail(ORL_E_UNSUPPORTED, "--cpu=%s: not one of auto, ref, avx2, neon, dotprod", name);
+    return orl_fail(ORL_E_UNSUPPORTED, "--cpu=%s: not one of auto, ref, avx2, avx512, neon, dotprod", name);
 }
 
 const char *orl_cpu_name(unsigned flags)

@@ -82,7 +82,7 @@ typedef struct {
 void orl_kernels_init(orl_kernels *k, unsigned cpu);
 
 /* One list for tests and benchmark: name as in --cpu=. */
-#define ORL_KERNEL_VARIANTS(X) X("ref") X("avx2") X("neon") X("dotprod")
+#define ORL_KERNEL_VARIANTS(X) X("ref") X("avx2") X("avx512") X("neon") X("dotprod")
 
 /* Instruction sets; private to the dispatch. */
 void orl_vis_ref(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);

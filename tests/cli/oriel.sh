@@ -21,7 +21,7 @@ if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | pytho
 # one hash for threads, kernels, machines
 want=$("$O" run $scene $pose $clip --sink hash: --cpu=ref --threads=1)
 [[ $want = hash\ *6\ frames\ of\ 200\ x\ 120 ]] || fail "run said '$want'"
-for cpu in ref auto avx2 neon dotprod; do
+for cpu in ref auto avx2 avx512 neon dotprod; do
     for threads in 1 2; do
         got=$("$O" run $scene $pose $clip --sink hash: --cpu=$cpu --threads=$threads 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--cpu=$cpu: $(cat "$W/err")"; continue; }
         [ "$got" = "$want" ] || fail "--cpu=$cpu --threads=$threads: $got, not $want"
@@ -31,7 +31,7 @@ done
 "$O" bake $scene $pose -o "$W/kiosk.oriel" >"$W/out" || fail "bake"
 grep -q '200 x 120 pixels' "$W/out" || fail "bake said $(cat "$W/out")"
 baked=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=ref --threads=1) || fail "run --view"
-for cpu in auto avx2; do
+for cpu in auto avx2 avx512; do
     got=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$cpu --threads=2 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--view --cpu=$cpu: $(cat "$W/err")"; continue; }
     [ "$got" = "$baked" ] || fail "--view --cpu=$cpu: $got, not $baked"
 done
