@@ -73,7 +73,7 @@ $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
 $B/obj/trainer/ranks_mpi.o: ISA = $(filter -I%,$(MPI_SHOW))
 $B/obj/trainer/mlp.o $B/obj/trainer/encoding.o $B/obj/trainer/nerfw.o: ISA = $(TRAIN_ARCH) -ffp-contract=fast -fno-math-errno
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
-$(call obj,$(filter %_avx512.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2 -mavx512f -mavx512bw -mavx512dq -mavx512vl -mavx512vbmi -mavx512vnni
+$(call obj,$(filter %_avx512.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2 -mavx512f -mavx512bw -mavx512cd -mavx512dq -mavx512vl -mavx512vbmi -mavx512vnni
 $(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 
 tests: all $(TESTS) $(TOOLS)

@@ -11,7 +11,7 @@
 #include "runtime/arena.h"
 #include "runtime/kernels/shade.h"
 
-enum { CELLS = 64, CELL_STEP = 2 * ORL_MIX_STEP, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };     /* cells' middles stand between the kernel's steps */
+enum { CELLS = 64, CELL_LOG2 = 4, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };
 #define FEATHER 0.03        /* of the photo's short side */
 #define BAND    3.0         /* seam colours are taken this many feathers deep */
 #define REACH   0.12        /* a correction has halved at this distance from the photo, in short sides */
@@ -22,7 +22,7 @@ struct orl_blend {
     int w, h, pw, ph;
     int box_x, box_y;                   /* footprint of a wide pixel in the photo, Q8, >= 256 */
     uint64_t inverse;                   /* 2^40 / footprint */
-    int cell, gw, gh, levels;
+    int cell_log2, cell, gw, gh, levels;
     int *x0, *x1;                       /* covered columns of each row, */
     int *in0, *in1;                     /* and those in which the photo stands alone */
     int32_t *at;                        /* [pixel][2] the footprint's corner in the photo, Q8 */
@@ -30,8 +30,6 @@ struct orl_blend {
     uint8_t *warped;                    /* [pixel][3] */
     int64_t *sum;                       /* [layer][cell][4]: three differences and their weight */
     int32_t *fade;                      /* [cell] Q8 */
-    uint8_t *cell_of;                   /* [w / ORL_MIX_STEP] left cell */
-    int16_t *share;                     /* [w] of the right one, Q15 */
     level pyramid[LAYERS][LEVELS];
     const uint8_t *photo;
     uint8_t *wide;
@@ -46,7 +44,9 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     int side = w > h ? w : h;
     b->w = w;
     b->h = h;
-    b->cell = ((side + CELLS - 1) / CELLS + CELL_STEP - 1) / CELL_STEP * CELL_STEP;
+    b->cell_log2 = CELL_LOG2;
+    while (CELLS << b->cell_log2 < side) b->cell_log2++;
+    b->cell = 1 << b->cell_log2;
     b->gw = (w + b->cell - 1) / b->cell;
     b->gh = (h + b->cell - 1) / b->cell;
     b->x0 = orl_arena_take(a, (size_t)h * sizeof *b->x0);
@@ -61,8 +61,6 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     size_t cells = (size_t)b->gw * (size_t)b->gh;
     b->sum = orl_arena_take(a, LAYERS * cells * 4 * sizeof *b->sum);
     b->fade = orl_arena_take(a, cells * sizeof *b->fade);
-    b->cell_of = orl_arena_take(a, (size_t)w / ORL_MIX_STEP + 1);
-    b->share = orl_arena_take(a, (size_t)w * sizeof *b->share);
     for (int k = 0; k < LAYERS; k++) {
         int gw = b->gw, gh = b->gh;
         for (b->levels = 0; b->levels < LEVELS; ) {
@@ -209,12 +207,6 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     uint64_t area = (uint64_t)b->box_x * (uint64_t)b->box_y;
     b->inverse = (((uint64_t)1 << 40) + area / 2) / area;
     for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
-    for (int x = 0; x < b->w; x++) {
-        int step = x / ORL_MIX_STEP * ORL_MIX_STEP, left = step < b->cell / 2 ? 0 : (step - b->cell / 2) / b->cell;
-        left = b->gw > 1 ? clampi(left, 0, b->gw - 2) : 0;
-        b->cell_of[x / ORL_MIX_STEP] = (uint8_t)left;
-        b->share[x] = (int16_t)clampi((2 * x + 1 - (2 * left + 1) * b->cell) * 16384 / b->cell, 0, 32767);
-    }
     place(b, photo, wide, turn, mask);
     set_fade(b, photo, wide, turn);
     *out = b;
@@ -352,28 +344,36 @@ static void mix(void *user, int begin, int end)
 {
     const mix_job *j = user;
     const orl_blend *b = j->b;
-    int16_t cell[CELLS + 1][3][2];
+    int16_t node[3][LAYERS][CELLS + 2 + ORL_NODES_MORE];
+    orl_mix_in in = { .log2 = b->cell_log2 };
+    memset(node, 0, sizeof node);
+    for (int c = 0; c < 3; c++) for (int k = 0; k < LAYERS; k++) in.node[c][k] = node[c][k];
     for (int y = begin; y < end; y++) {
         int q = clampi(((2 * y + 1) * 128) / b->cell - 128, 0, (b->gh - 1) * 256), cy = clampi(q >> 8, 0, b->gh > 1 ? b->gh - 2 : 0), fy = b->gh > 1 ? q - cy * 256 : 0;
-        for (int k = 0; k < LAYERS; k++)
-            for (int c = 0; c < 3; c++) {           /* down between cells; the kernel goes along them */
+        for (int c = 0; c < 3; c++)
+            for (int k = 0; k < LAYERS; k++) {      /* down between cells; the kernel goes along them */
                 const int32_t *top = b->pyramid[k][0].value[c] + cy * b->gw, *low = b->gh > 1 ? top + b->gw : top;
-                for (int x = 0; x < b->gw; x++) cell[x][c][k] = (int16_t)((top[x] * (256 - fy) + low[x] * fy + 64) >> 7);
-                cell[b->gw][c][k] = cell[b->gw - 1][c][k];
+                int16_t *to = node[c][k] + 1;
+                for (int x = 0; x < b->gw; x++) to[x] = (int16_t)((top[x] * (256 - fy) + low[x] * fy + 64) >> 7);
+                to[-1] = to[0];
+                to[b->gw] = to[b->gw - 1];
             }
         size_t i = (size_t)y * (size_t)b->w;
-        int n = b->w / ORL_MIX_STEP * ORL_MIX_STEP, rest = b->w - n;
-        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of, b->share, b->layer + i, b->weight + i, b->warped + 3 * i }, n, b->wide + 3 * i);
+        int n = b->w / ORL_KERNEL_STEP * ORL_KERNEL_STEP, rest = b->w - n;
+        in.x = 0;
+        in.layer = b->layer + i;
+        in.weight = b->weight + i;
+        in.photo = b->warped + 3 * i;
+        j->k.mix(&in, n, b->wide + 3 * i);
         if (!rest) continue;
-        uint8_t layer[ORL_MIX_STEP] = { 0 }, weight[ORL_MIX_STEP] = { 0 }, photo[3 * ORL_MIX_STEP] = { 0 }, rgb[3 * ORL_MIX_STEP] = { 0 };
-        int16_t share[ORL_MIX_STEP] = { 0 };
+        uint8_t layer[ORL_KERNEL_STEP] = { 0 }, weight[ORL_KERNEL_STEP] = { 0 }, photo[3 * ORL_KERNEL_STEP] = { 0 }, rgb[3 * ORL_KERNEL_STEP] = { 0 };
         i += (size_t)n;
-        memcpy(layer, b->layer + i, (size_t)rest);
-        memcpy(weight, b->weight + i, (size_t)rest);
-        memcpy(share, b->share + n, (size_t)rest * sizeof *share);
-        memcpy(photo, b->warped + 3 * i, 3 * (size_t)rest);
+        in.x = n;
+        in.layer = memcpy(layer, b->layer + i, (size_t)rest);
+        in.weight = memcpy(weight, b->weight + i, (size_t)rest);
+        in.photo = memcpy(photo, b->warped + 3 * i, 3 * (size_t)rest);
         memcpy(rgb, b->wide + 3 * i, 3 * (size_t)rest);
-        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of + n / ORL_MIX_STEP, share, layer, weight, photo }, ORL_MIX_STEP, rgb);
+        j->k.mix(&in, ORL_KERNEL_STEP, rgb);
         memcpy(b->wide + 3 * i, rgb, 3 * (size_t)rest);
     }
 }

@@ -26,7 +26,6 @@ static void render(orl_view *v, const orl_light *l, uint8_t *rgb)
     orl_view_light *t = orl_view_light_make(v, l, block, orl_view_light_need());
     assert_non_null(t);
     orl_view_trace_sun(v, l, 0, v->h, ORL_CPU_REF, 1);
-    orl_view_relight(v, t, ORL_CPU_REF, 0, v->h);
     orl_view_shade(v, t, ORL_CPU_REF, 0, v->h, rgb, (size_t)v->w * 3);
     free(block);
 }

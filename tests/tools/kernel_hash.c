@@ -6,7 +6,7 @@
 #include "tests/synth_scene.h"
 
 static const char *const variants[] = {
-#define NAME(n) n,
+#define NAME(n) #n,
     ORL_KERNEL_VARIANTS(NAME)
 #undef NAME
 };
@@ -18,8 +18,8 @@ static uint64_t fnv(uint64_t h, const void *p, size_t n)
 }
 
 static kernel_data d;
-static uint8_t vis[KD_N], rgb[KD_N * 3];
-static int16_t s[KD_N];
+static uint8_t rgb[KD_N * 3];
+static int16_t vis[KD_N], s[KD_N];
 
 static uint64_t hash_kernels(unsigned cpu)
 {
@@ -28,9 +28,10 @@ static uint64_t hash_kernels(unsigned cpu)
     orl_kernels_init(&k, cpu);
     for (int i = 0; i < 12; i++) {
         kd_fill(&d, 1000 + (uint64_t)i, i < KD_MODES ? (kd_mode)i : KD_RANDOM);
+        orl_vis_in sun = kd_vis_struct(&d, 0);
         orl_shade_in in = kd_in_struct(&d, 0);
-        k.vis(d.horizon[0], d.horizon[1], &d.vis_tab, KD_N, vis);
-        k.shadow(d.phi, &d.tab, KD_N, s);
+        k.vis(&sun, &d.vis_tab, KD_N, vis);
+        k.shadow((const int8_t *const[]){ d.phi[0], d.phi[1] }, &d.tab, KD_N, s);
         k.shade(&in, &d.tab, KD_N, rgb);
         h = fnv(fnv(fnv(h, vis, sizeof vis), s, sizeof s), rgb, sizeof rgb);
         orl_mix_in mix = kd_mix_struct(&d, 0);
@@ -58,7 +59,6 @@ static int hash_view(unsigned cpu, uint64_t *h)
     if (!bad) {
         orl_light_decode(&sc.light, sc.light.prior_mean, &light);
         orl_view_light *l = orl_view_light_make(&v, &light, lb, orl_view_light_need());
-        orl_view_relight(&v, l, cpu, 0, v.h);
         orl_view_shade(&v, l, cpu, 0, v.h, out, (size_t)v.w * 3);
         size_t planes = (size_t)((uint8_t *)v.sky - (uint8_t *)block);
         *h = fnv(fnv(*h, block, planes), out, sizeof out);
