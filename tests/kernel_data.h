@@ -4,7 +4,7 @@
 #include <string.h>
 #include "runtime/kernels/shade.h"
 
-enum { KD_CELLS = 64, KD_N = 1024, KD_NODES = KD_N / 16 + 2 + ORL_NODES_MORE, KD_GUARD = 64 };
+enum { KD_SIDE = 32, KD_N = KD_SIDE * KD_SIDE, KD_NODES = KD_N / 16 + 2 + ORL_NODES_MORE, KD_GUARD = 64 };
 typedef enum { KD_RANDOM, KD_LOW, KD_HIGH, KD_MODES } kd_mode;
 
 typedef struct {
@@ -15,7 +15,10 @@ typedef struct {
     int16_t vis[KD_N], s[KD_N], sky[3][KD_NODES];
     int sky_log2, mix_log2, ceilings, traced, shadows;      /* what a view has */
     int16_t node[3][2][KD_NODES];
-    uint8_t photo[3 * KD_N], render[3 * KD_N];
+    uint8_t photo[3 * KD_N], render[3 * KD_N];              /* to the warp the photo is KD_SIDE pixels wide and high */
+    int32_t at[KD_N][2];
+    int box[2];
+    int16_t column[256 * ORL_WARP_PARTS * 16], row[256 * ORL_WARP_ROWS];
 } kernel_data;
 
 static inline uint32_t kd_next(uint64_t *r) { *r = *r * 6364136223846793005u + 1442695040888963407u; return (uint32_t)(*r >> 33); }
@@ -24,6 +27,21 @@ static inline int kd_in(uint64_t *r, kd_mode m, int lo, int hi)
     uint32_t v = kd_next(r);
     if (m == KD_RANDOM && v % 16 == 0) m = v / 16 % 2 ? KD_LOW : KD_HIGH;       /* extremes among the random ones too */
     return m == KD_LOW ? lo : m == KD_HIGH ? hi : lo + (int)(kd_next(r) % (uint32_t)(hi - lo + 1));
+}
+
+/* Shares of the pixels of a box, whole numbers that are not equal and sum to 32767. */
+static inline void kd_warp(kernel_data *d)
+{
+    for (int a = 0; a < 2; a++)
+        for (int f = 0; f < 256; f++) {
+            int n = (f + d->box[a] + 255) >> 8, parts = ((510 + d->box[0]) / 256 + ORL_WARP_PART - 1) / ORL_WARP_PART, rest = 32767;
+            for (int k = 0; k < n; k++) {
+                int share = k == n - 1 ? rest : rest * (f + 32) / (300 * (n - k) / 2 + 32);
+                rest -= share;
+                if (a) d->row[f * ORL_WARP_ROWS + k] = (int16_t)share;
+                else for (int c = 0; c < 3; c++) d->column[(f * parts + k / ORL_WARP_PART) * 16 + k % ORL_WARP_PART * 3 + c] = (int16_t)share;
+            }
+        }
 }
 
 static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
@@ -90,8 +108,16 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
         d->photo[i] = (uint8_t)kd_in(&r, m, 0, 255);
         d->render[i] = (uint8_t)kd_in(&r, m, 0, 255);
     }
+    for (int a = 0; a < 2; a++) d->box[a] = seed % 3 ? kd_in(&r, m, 256, seed % 3 == 1 ? 1024 : 2900) : 256;
+    for (int i = 0; i < KD_N; i++) for (int a = 0; a < 2; a++) d->at[i][a] = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[a]);
+    kd_warp(d);
 }
 
+static inline orl_warp_in kd_warp_struct(const kernel_data *d, int x)
+{
+    int most = (510 + d->box[0]) / 256, rows = (510 + d->box[1]) / 256;
+    return (orl_warp_in){ d->photo, 3 * KD_SIDE, sizeof d->photo, d->at + x, rows, (most + ORL_WARP_PART - 1) / ORL_WARP_PART, most <= 2 && rows <= 2, d->column, d->row };
+}
 static inline orl_vis_in kd_vis_struct(const kernel_data *d, int x)
 {
     orl_vis_in in = { { d->horizon[0] + x, d->horizon[1] + x }, { NULL, NULL }, d->traced ? d->fix + x : NULL };

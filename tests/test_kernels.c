@@ -16,7 +16,7 @@ static const char *const variants[] = {
 };
 enum { VARIANTS = sizeof variants / sizeof *variants };
 
-typedef struct { uint8_t before[KD_GUARD]; int16_t vis[KD_N]; uint8_t b1[KD_GUARD]; int16_t s[KD_N]; uint8_t b2[KD_GUARD], rgb[KD_N * 3], b3[KD_GUARD], mixed[KD_N * 3], after[KD_GUARD]; } output;
+typedef struct { uint8_t before[KD_GUARD]; int16_t vis[KD_N]; uint8_t b1[KD_GUARD]; int16_t s[KD_N]; uint8_t b2[KD_GUARD], rgb[KD_N * 3], b3[KD_GUARD], mixed[KD_N * 3], b4[KD_GUARD], warped[KD_N * 3], after[KD_GUARD]; } output;
 
 static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output *o)
 {
@@ -29,6 +29,8 @@ static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output
     k->shade(&in, &d->tab, n, o->rgb);
     memcpy(o->mixed, d->render + 3 * x, 3 * (size_t)n);
     k->mix(&mix, n, o->mixed);
+    orl_warp_in warp = kd_warp_struct(d, x);
+    k->warp(&warp, n ? n - 5 : 0, o->warped);
 }
 
 static void compare(kernel_data *d, output *ref, output *got, int x, int n)
@@ -36,8 +38,8 @@ static void compare(kernel_data *d, output *ref, output *got, int x, int n)
     orl_kernels k;
     orl_kernels_init(&k, ORL_CPU_REF);
     run(&k, d, x, n, ref);
-    for (size_t i = 0; i < sizeof ref->before; i++) assert_true(ref->before[i] == 0xa5 && ref->b1[i] == 0xa5 && ref->b2[i] == 0xa5 && ref->b3[i] == 0xa5 && ref->after[i] == 0xa5);
-    if (n < KD_N) assert_true((uint16_t)ref->vis[n] == 0xa5a5 && (uint16_t)ref->s[n] == 0xa5a5 && ref->rgb[3 * n] == 0xa5 && ref->mixed[3 * n] == 0xa5);
+    for (size_t i = 0; i < sizeof ref->before; i++) assert_true(ref->before[i] == 0xa5 && ref->b1[i] == 0xa5 && ref->b2[i] == 0xa5 && ref->b3[i] == 0xa5 && ref->b4[i] == 0xa5 && ref->after[i] == 0xa5);
+    if (n < KD_N) assert_true((uint16_t)ref->vis[n] == 0xa5a5 && (uint16_t)ref->s[n] == 0xa5a5 && ref->rgb[3 * n] == 0xa5 && ref->mixed[3 * n] == 0xa5 && ref->warped[n ? 3 * n - 15 : 0] == 0xa5);
     for (int v = 0; v < VARIANTS; v++) {
         unsigned cpu;
         if (orl_cpu_from_name(variants[v], &cpu)) continue;
@@ -120,6 +122,22 @@ static void test_power_and_encoding(void **state)
     }
 }
 
+/* A box of two and a half pixels over a photo of three steps. */
+static void test_warp_is_a_mean(void **state)
+{
+    (void)state;
+    static int16_t column[256 * ORL_WARP_PARTS * 16], row[256 * ORL_WARP_ROWS];
+    uint8_t photo[4][4][3], rgb[3];
+    for (int y = 0; y < 4; y++) for (int x = 0; x < 4; x++) for (int c = 0; c < 3; c++) photo[y][x][c] = (uint8_t)(60 * x + 7 * y + 3 * c);
+    const int f = 64, share[3] = { 192 * 32767 / 640, 256 * 32767 / 640, 32767 - 192 * 32767 / 640 - 256 * 32767 / 640 };      /* of a box from 0.25 to 2.75 */
+    for (int k = 0; k < 3; k++) {
+        row[f * ORL_WARP_ROWS + k] = (int16_t)share[k];
+        for (int c = 0; c < 3; c++) column[f * 16 + 3 * k + c] = (int16_t)share[k];
+    }
+    orl_warp_ref(&(orl_warp_in){ photo[0][0], 12, sizeof photo, (const int32_t[][2]){ { 256 + f, f } }, 4, 1, 0, column, row }, 1, rgb);
+    for (int c = 0; c < 3; c++) assert_int_equal(rgb[c], (int)((192 * 67 + 256 * 127 + 192 * 187) / 640.0 - 7 + (192 * 0 + 256 * 7 + 192 * 14) / 640.0 + 3 * c + 0.5));
+}
+
 /* No correction and no photo: the render; the photo's whole share: the photo; half a correction between two cells. */
 static void test_mix_is_exact(void **state)
 {
@@ -154,6 +172,6 @@ static void test_unknown_cpu(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(test_bits), cmocka_unit_test(test_vis_is_smoothstep), cmocka_unit_test(test_power_and_encoding), cmocka_unit_test(test_mix_is_exact), cmocka_unit_test(test_unknown_cpu) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(test_bits), cmocka_unit_test(test_vis_is_smoothstep), cmocka_unit_test(test_power_and_encoding), cmocka_unit_test(test_warp_is_a_mean), cmocka_unit_test(test_mix_is_exact), cmocka_unit_test(test_unknown_cpu) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -1,7 +1,7 @@
 /* Dispatch: C first, overridden by what the CPU flags allow. */
 #include "runtime/kernels/shade.h"
 
-#define SET(isa) (orl_kernels){ orl_vis_##isa, orl_shadow_##isa, orl_shade_##isa, orl_mix_##isa }
+#define SET(isa) (orl_kernels){ orl_vis_##isa, orl_shadow_##isa, orl_shade_##isa, orl_warp_##isa, orl_mix_##isa }
 
 void orl_kernels_init(orl_kernels *k, unsigned cpu)
 {

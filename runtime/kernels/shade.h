@@ -19,12 +19,13 @@
  *           y = node_a + mul(node_b - node_a, ramp)                               Q13, sky, nodes clamped to [-0.5, 3.49]
  *           p = cov = 255: e, else y + mul(e - y, 128 cov + (cov >> 1))           Q13
  *           rgb = clamp((tone_b_c + mul(tone_c0, p_0) + mul(tone_c1, p_1) + mul(tone_c2, p_2)) >> tone_shift, 0, 255)     in this order
+ *   warp    V_i = sum_j mul(128 photo_ij, row_j), rgb = min((sum_i mul(V_i, column_i) + 64) >> 7, 255)        mean of the photo over a box; shares Q15
  *   mix     l_k = node_a + mul(node_b - node_a, ramp)                             correction of layer k, Q5 levels
  *           r = clamp(render + ((l_0 + mul(l_1 - l_0, 128 layer + (layer >> 1)) + 16) >> 5), 0, 255)
  *           m = photo weight + r (255 - weight) + 128, rgb = (m + (m >> 8)) >> 8  the quotient by 255, rounded: exact
  *
  * k is the largest of 4 .. 20 at which sun + sky + ground of no direction leaves 15 bits: a bright sun costs low bits of the shade, never saturates below 2000 x white.
- * All lengths are multiples of ORL_KERNEL_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. Of nodes, three more words than are asked for are read. */
+ * All lengths but warp's are multiples of ORL_KERNEL_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. Of nodes, three more words than are asked for are read. */
 #ifndef RUNTIME_KERNELS_SHADE_H
 #define RUNTIME_KERNELS_SHADE_H
 #include <stdint.h>
@@ -36,6 +37,7 @@ enum {
     ORL_VIS_SPAN = 3325,                                        /* ORL_SUN_SOFT in units of h */
     ORL_SKY_TERMS = 9, ORL_SHADOW_KNOTS = 16,
     ORL_PHI_W_MAX = 16255,                                      /* w = 128 hi + lo with both in int8 */
+    ORL_WARP_PART = 5, ORL_WARP_MOST = 64, ORL_WARP_ROWS = ORL_WARP_MOST + 1, ORL_WARP_PARTS = (ORL_WARP_MOST + ORL_WARP_PART) / ORL_WARP_PART,     /* boxes of up to 64 x 64 pixels */
     ORL_PHI_GROUP = 4,                                          /* features of a pixel that stand side by side: phi is [group][pixel][4] */
     ORL_POW_0 = 29060, ORL_POW_1 = 4033, ORL_POW_2 = -408, ORL_POW_3 = 76,      /* of ((t + 3) / 4)^(5/12), t in -1 .. 1: within 4e-4 of it */
     ORL_U_MAX = 27438, ORL_TOE = 737, ORL_TOE_LINE = 451, ORL_TOE_2 = 289, ORL_TOE_3 = 375,      /* the curve's lower end by u^2 and u^3: within 0.1 of a level */
@@ -81,9 +83,19 @@ typedef struct {
 } orl_mix_in;
 
 typedef struct {
+    const uint8_t *photo;           /* rows of `stride` bytes, `bytes` in all */
+    size_t stride, bytes;
+    const int32_t (*at)[2];         /* [n] corner u, v of each pixel's box, Q8; the box is inside the photo */
+    int rows, parts, narrow;        /* of a box; ORL_WARP_PART columns a part; 1: two rows and two columns at most */
+    const int16_t *column;          /* [256][parts][16] by the corner's fraction: shares of the columns from its pixel on, three times over (R, G, B), the 16th 0; a box's sum to 32767, and are 0 beyond it */
+    const int16_t *row;             /* [256][ORL_WARP_ROWS] likewise */
+} orl_warp_in;
+
+typedef struct {
     void (*vis)(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis);
     void (*shadow)(const int8_t *const phi[2], const orl_shade_tab *t, int n, int16_t *s);      /* phi [2] groups of [n][4] */
     void (*shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);         /* rgb [n][3] */
+    void (*warp)(const orl_warp_in *in, int n, uint8_t *rgb);                                   /* rgb [n][3]; n any */
     void (*mix)(const orl_mix_in *in, int n, uint8_t *rgb);                                     /* rgb [n][3]: the render, then the blend */
 } orl_kernels;
 
@@ -102,6 +114,7 @@ extern const int16_t orl_power_factor[16];
     void orl_vis_##isa(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis); \
     void orl_shadow_##isa(const int8_t *const phi[2], const orl_shade_tab *t, int n, int16_t *s); \
     void orl_shade_##isa(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb); \
+    void orl_warp_##isa(const orl_warp_in *in, int n, uint8_t *rgb); \
     void orl_mix_##isa(const orl_mix_in *in, int n, uint8_t *rgb);
 ORL_KERNEL_VARIANTS(ORL_KERNEL_PROTOTYPES)
 #endif

@@ -145,6 +145,45 @@ void KERNEL(shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_
 
 /* ---- the photo */
 
+/* 16 bytes of each row at a time: five pixels in words, first summed down, then along. */
+INLINE half warp_part(const orl_warp_in *in, const uint8_t *p, const int16_t *row, int rows, int narrow, const int16_t *column)
+{
+    half lo = half_set1(0), hi = lo;
+    for (int j = 0; j < rows; j++, p += in->stride) {
+        half w = half_set1(row[j]);
+        lo = half_add(lo, half_mul(half_pixels(p), w));
+        if (!narrow) hi = half_add(hi, half_mul(half_pixels(p + 8), w));
+    }
+    lo = half_mul(lo, half_load(column));                           /* R0 G0 B0 R1 G1 B1 R2 G2 */
+    half sum = half_add(lo, half_down(lo, 3));
+    if (narrow) return sum;
+    hi = half_mul(hi, half_load(column + 8));                       /* B2 R3 G3 B3 R4 G4 B4 0 */
+    return half_add(sum, half_add(half_add(half_down(lo, 6), half_up(hi, 2)), half_add(half_down(hi, 1), half_down(hi, 4))));
+}
+
+INLINE void warp_pixel(const orl_warp_in *in, int i, int narrow, uint8_t *rgb, int last)
+{
+    int u = in->at[i][0], v = in->at[i][1], rows = narrow ? 2 : in->rows;
+    const int16_t *column = in->column + (u & 255) * in->parts * 16, *row = in->row + (v & 255) * ORL_WARP_ROWS;
+    size_t at = (size_t)(v >> 8) * in->stride + 3 * (size_t)(u >> 8);
+    half sum = half_set1(64);
+    if (at + (size_t)(rows - 1) * in->stride + (narrow ? 8 : 3 * ORL_WARP_PART * (size_t)in->parts + 1) > in->bytes) {      /* vectors would read on beyond the photo's end */
+        orl_warp_in one = *in;
+        one.at += i;
+        orl_warp_ref(&one, 1, rgb);
+        return;
+    }
+    if (narrow) sum = half_add(sum, warp_part(in, in->photo + at, row, 2, 1, column));
+    else for (int k = 0; k < in->parts; k++) sum = half_add(sum, warp_part(in, in->photo + at + 3 * ORL_WARP_PART * k, row, rows, 0, column + 16 * k));
+    half_store_rgb(rgb, sum, last);
+}
+
+void KERNEL(warp)(const orl_warp_in *in, int n, uint8_t *rgb)
+{
+    if (in->narrow) for (int i = 0; i < n; i++) warp_pixel(in, i, 1, rgb + 3 * i, i == n - 1);
+    else for (int i = 0; i < n; i++) warp_pixel(in, i, 0, rgb + 3 * i, i == n - 1);
+}
+
 void KERNEL(mix)(const orl_mix_in *in, int n, uint8_t *rgb)
 {
     const int mask = (1 << in->log2) - 1;

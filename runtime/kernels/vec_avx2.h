@@ -5,6 +5,7 @@
 #include "runtime/kernels/shade.h"
 
 #define INLINE static inline __attribute__((always_inline))
+#include "runtime/kernels/half_sse.h"
 #define LANES 16
 typedef __m256i vec;
 

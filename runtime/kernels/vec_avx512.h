@@ -6,6 +6,7 @@
 #include "runtime/kernels/shade.h"
 
 #define INLINE static inline __attribute__((always_inline))
+#include "runtime/kernels/half_sse.h"
 #define LANES 32
 typedef __m512i vec;
 

@@ -2,6 +2,7 @@
 #ifndef RUNTIME_KERNELS_VEC_NEON_H
 #define RUNTIME_KERNELS_VEC_NEON_H
 #include <arm_neon.h>
+#include <string.h>
 #include "runtime/kernels/shade.h"
 
 #define INLINE static inline __attribute__((always_inline))
@@ -104,6 +105,21 @@ INLINE vec phi_sum(const int8_t *a, const int8_t *b, const phi_weights *w)
 {
     int32x4_t x0 = vaddq_s32(vrshlq_s32(phi_four(a, b, w), w->shift), w->bias), x1 = vaddq_s32(vrshlq_s32(phi_four(a + 16, b + 16, w), w->shift), w->bias);
     return max(vcombine_s16(vqmovn_s32(x0), vqmovn_s32(x1)), set1(0));
+}
+
+/* A vector is half of what the warp takes. */
+typedef vec half;
+#define half_set1 set1
+#define half_load load
+#define half_add add
+#define half_mul mul
+INLINE half half_pixels(const uint8_t *p) { return S(vshll_n_u8(vld1_u8(p), 7)); }
+#define half_down(v, n) vextq_s16(v, vdupq_n_s16(0), n)
+#define half_up(v, n) vextq_s16(vdupq_n_s16(0), v, 8 - (n))
+INLINE void half_store_rgb(uint8_t *p, half v, int last)           /* v >> 7; but for the last, a byte more */
+{
+    uint32_t rgb = vget_lane_u32(vreinterpret_u32_u8(vqshrn_n_u16(U(v), 7)), 0);
+    memcpy(p, &rgb, last ? 3 : 4);
 }
 
 INLINE void load_rgb(const uint8_t *p, vec c[3])

@@ -37,6 +37,9 @@ static uint64_t hash_kernels(unsigned cpu)
         orl_mix_in mix = kd_mix_struct(&d, 0);
         k.mix(&mix, KD_N, d.render);
         h = fnv(h, d.render, sizeof d.render);
+        orl_warp_in warp = kd_warp_struct(&d, 0);
+        k.warp(&warp, KD_N, rgb);
+        h = fnv(h, rgb, sizeof rgb);
     }
     return h;
 }
