@@ -64,12 +64,10 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 
 static int64_t peak(int rounds)
 {
-    __m256i acc[8], x = _mm256_set1_epi8(1), product;
-    for (int i = 0; i < 8; i++) acc[i] = x;
-    for (int r = 0; r < rounds; r++) {
-#pragma GCC unroll 8
-        for (int i = 0; i < 8; i++) __asm__ volatile("vpmaddwd %2, %2, %1\n\tvpaddd %1, %0, %0" : "+x"(acc[i]), "=&x"(product) : "x"(x));
-    }
+#define DOT(r) "vpmaddwd %%ymm15, %%ymm15, %%ymm14\n\tvpaddd %%ymm14, %%ymm" #r ", %%ymm" #r "\n\t"
+    for (int i = 0; i < rounds; i++)
+        __asm__ volatile(DOT(0) DOT(1) DOT(2) DOT(3) DOT(4) DOT(5) DOT(6) DOT(7) : : : "xmm0", "xmm1", "xmm2", "xmm3", "xmm4", "xmm5", "xmm6", "xmm7", "xmm14");
+#undef DOT
     return (int64_t)rounds * 8 * 16;
 }
 

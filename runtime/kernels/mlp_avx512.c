@@ -75,12 +75,11 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 
 static int64_t peak(int rounds)
 {
-    __m512i acc[16], x = _mm512_set1_epi8(1);
-    for (int i = 0; i < 16; i++) acc[i] = x;
-    for (int r = 0; r < rounds; r++) {
-#pragma GCC unroll 16
-        for (int i = 0; i < 16; i++) __asm__ volatile("vpdpbusd %1, %1, %0" : "+v"(acc[i]) : "v"(x));
-    }
+#define DOT(r) "vpdpbusd %%zmm31, %%zmm31, %%zmm" #r "\n\t"
+    for (int i = 0; i < rounds; i++)
+        __asm__ volatile(DOT(0) DOT(1) DOT(2) DOT(3) DOT(4) DOT(5) DOT(6) DOT(7) DOT(8) DOT(9) DOT(10) DOT(11) DOT(12) DOT(13) DOT(14) DOT(15)
+                         : : : "xmm0", "xmm1", "xmm2", "xmm3", "xmm4", "xmm5", "xmm6", "xmm7", "xmm8", "xmm9", "xmm10", "xmm11", "xmm12", "xmm13", "xmm14", "xmm15");
+#undef DOT
     return (int64_t)rounds * 16 * 64;
 }
 

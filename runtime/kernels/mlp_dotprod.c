@@ -49,13 +49,11 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 
 static int64_t peak(int rounds)
 {
-    int32x4_t acc[16];
-    int8x16_t x = vdupq_n_s8(1);
-    for (int i = 0; i < 16; i++) acc[i] = vdupq_n_s32(i);
-    for (int r = 0; r < rounds; r++) {
-#pragma GCC unroll 16
-        for (int i = 0; i < 16; i++) __asm__ volatile("sdot %0.4s, %1.16b, %1.16b" : "+w"(acc[i]) : "w"(x));
-    }
+#define DOT(r) "sdot v" #r ".4s, v31.16b, v31.16b\n\t"
+    for (int i = 0; i < rounds; i++)
+        __asm__ volatile(DOT(0) DOT(1) DOT(2) DOT(3) DOT(4) DOT(5) DOT(6) DOT(7) DOT(16) DOT(17) DOT(18) DOT(19) DOT(20) DOT(21) DOT(22) DOT(23)
+                         : : : "v0", "v1", "v2", "v3", "v4", "v5", "v6", "v7", "v16", "v17", "v18", "v19", "v20", "v21", "v22", "v23");
+#undef DOT
     return (int64_t)rounds * 16 * 16;
 }
 

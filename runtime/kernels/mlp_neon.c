@@ -66,14 +66,11 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 
 static int64_t peak(int rounds)
 {
-    int32x4_t acc[8];
-    int16x8_t product;
-    int8x16_t x = vdupq_n_s8(1);
-    for (int i = 0; i < 8; i++) acc[i] = vdupq_n_s32(i);
-    for (int r = 0; r < rounds; r++) {
-#pragma GCC unroll 8
-        for (int i = 0; i < 8; i++) __asm__ volatile("smull %1.8h, %2.8b, %2.8b\n\tsmlal2 %1.8h, %2.16b, %2.16b\n\tsadalp %0.4s, %1.8h" : "+w"(acc[i]), "=&w"(product) : "w"(x));
-    }
+#define DOT(r, t) "smull v" #t ".8h, v31.8b, v31.8b\n\tsmlal2 v" #t ".8h, v31.16b, v31.16b\n\tsadalp v" #r ".4s, v" #t ".8h\n\t"
+    for (int i = 0; i < rounds; i++)
+        __asm__ volatile(DOT(0, 16) DOT(1, 17) DOT(2, 18) DOT(3, 19) DOT(4, 20) DOT(5, 21) DOT(6, 22) DOT(7, 23)
+                         : : : "v0", "v1", "v2", "v3", "v4", "v5", "v6", "v7", "v16", "v17", "v18", "v19", "v20", "v21", "v22", "v23");
+#undef DOT
     return (int64_t)rounds * 8 * 16;
 }
 
