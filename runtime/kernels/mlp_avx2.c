@@ -47,7 +47,7 @@ INLINE void columns(const orl_mlp *m, int k, int o, const int16_t *x, int16_t *h
     }
 }
 
-static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
+static void run_avx2(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 {
     const int in = m->layer[0].in, end = m->layers - 1, out = m->layer[end].out;
     int16_t a[2][ORL_MLP_STEP * ORL_MLP_WIDTH] __attribute__((aligned(64)));
@@ -62,7 +62,7 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-static int64_t peak(int rounds)
+static int64_t peak_avx2(int rounds)
 {
 #define DOT(r) "vpmaddwd %%ymm15, %%ymm15, %%ymm14\n\tvpaddd %%ymm14, %%ymm" #r ", %%ymm" #r "\n\t"
     for (int i = 0; i < rounds; i++)
@@ -71,4 +71,4 @@ static int64_t peak(int rounds)
     return (int64_t)rounds * 8 * 16;
 }
 
-const orl_mlp_kernel orl_mlp_avx2 = { 2, 2, 0, 0, run, peak };
+const orl_mlp_kernel orl_mlp_avx2 = { 2, 2, 0, 0, run_avx2, peak_avx2 };

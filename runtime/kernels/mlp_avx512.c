@@ -5,6 +5,13 @@
 
 #define INLINE static inline __attribute__((always_inline))
 
+/* _mm512_dpbusd_epi32, around which gcc 12 moves every accumulator to another register and back. */
+INLINE __m512i dot(__m512i acc, __m512i x, __m512i w)
+{
+    __asm__("vpdpbusd %2, %1, %0" : "+v"(acc) : "v"(x), "v"(w));
+    return acc;
+}
+
 /* Four accumulators to 64 bytes in their order. The packs work within 128 bits, which leaves a matrix of dwords to transpose. */
 INLINE __m512i narrow(const __m512i *acc, const __m512i shift[4], __m512i mul01, __m512i mul23, int last)
 {
@@ -36,7 +43,7 @@ INLINE void layer(const orl_mlp *m, int k, const uint8_t *x, uint8_t *y, const i
                 memcpy(&four, x + s * in + g, 4);
                 __m512i xv = _mm512_set1_epi32(four);
 #pragma GCC unroll 4
-                for (int v = 0; v < vectors; v++) acc[s * vectors + v] = _mm512_dpbusd_epi32(acc[s * vectors + v], xv, wv[v]);
+                for (int v = 0; v < vectors; v++) acc[s * vectors + v] = dot(acc[s * vectors + v], xv, wv[v]);
             }
         }
 #pragma GCC unroll 4
@@ -62,7 +69,7 @@ INLINE void any(const orl_mlp *m, int k, const uint8_t *x, uint8_t *y, const int
     }
 }
 
-static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
+static void run_avx512(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 {
     const int in = m->layer[0].in, end = m->layers - 1, out = m->layer[end].out;
     uint8_t a[2][ORL_MLP_STEP * ORL_MLP_WIDTH] __attribute__((aligned(64)));
@@ -73,7 +80,7 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-static int64_t peak(int rounds)
+static int64_t peak_avx512(int rounds)
 {
 #define DOT(r) "vpdpbusd %%zmm31, %%zmm31, %%zmm" #r "\n\t"
     for (int i = 0; i < rounds; i++)
@@ -83,4 +90,4 @@ static int64_t peak(int rounds)
     return (int64_t)rounds * 16 * 64;
 }
 
-const orl_mlp_kernel orl_mlp_avx512 = { 4, 1, 128, 0, run, peak };
+const orl_mlp_kernel orl_mlp_avx512 = { 4, 1, 128, 0, run_avx512, peak_avx512 };

@@ -35,7 +35,7 @@ INLINE void columns(const orl_mlp *m, int k, int o, const int8_t *x, int8_t *y, 
     }
 }
 
-static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
+static void run_dotprod(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 {
     const int end = m->layers - 1;
     int8_t a[2][ROWS * ORL_MLP_WIDTH];
@@ -47,7 +47,7 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-static int64_t peak(int rounds)
+static int64_t peak_dotprod(int rounds)
 {
 #define DOT(r) "sdot v" #r ".4s, v31.16b, v31.16b\n\t"
     for (int i = 0; i < rounds; i++)
@@ -57,4 +57,4 @@ static int64_t peak(int rounds)
     return (int64_t)rounds * 16 * 16;
 }
 
-const orl_mlp_kernel orl_mlp_dotprod = { 4, 1, 0, -128, run, peak };
+const orl_mlp_kernel orl_mlp_dotprod = { 4, 1, 0, -128, run_dotprod, peak_dotprod };

@@ -53,7 +53,7 @@ INLINE void layer(const orl_mlp *m, int k, const int8_t *x, int8_t *y, const int
     }
 }
 
-static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
+static void run_neon(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 {
     const int end = m->layers - 1;
     int8_t a[2][ROWS * ORL_MLP_WIDTH];
@@ -64,7 +64,7 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-static int64_t peak(int rounds)
+static int64_t peak_neon(int rounds)
 {
 #define DOT(r, t) "smull v" #t ".8h, v31.8b, v31.8b\n\tsmlal2 v" #t ".8h, v31.16b, v31.16b\n\tsadalp v" #r ".4s, v" #t ".8h\n\t"
     for (int i = 0; i < rounds; i++)
@@ -74,4 +74,4 @@ static int64_t peak(int rounds)
     return (int64_t)rounds * 8 * 16;
 }
 
-const orl_mlp_kernel orl_mlp_neon = { 0, 1, 0, -128, run, peak };
+const orl_mlp_kernel orl_mlp_neon = { 0, 1, 0, -128, run_neon, peak_neon };

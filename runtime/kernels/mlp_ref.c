@@ -3,7 +3,7 @@
 
 static int clamp(int v, int lo, int hi) { return v < lo ? lo : v > hi ? hi : v; }
 
-static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
+static void run_ref(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 {
     for (int s = 0; s < n; s++, x += m->layer[0].in) {
         int a[2][ORL_MLP_WIDTH];
@@ -21,4 +21,4 @@ static void run(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-const orl_mlp_kernel orl_mlp_ref = { 0, 1, 0, 0, run, NULL };
+const orl_mlp_kernel orl_mlp_ref = { 0, 1, 0, 0, run_ref, NULL };
