@@ -1,5 +1,5 @@
 /* int8 networks: every variant against the reference, bit for bit, over shapes, random and extreme weights and biases, batch sizes, odd starts, guard bytes; the reference against the equation written out, and
- * against a float network; what packing turns away. */
+ * against a float network; what packing turns away. On emulated aarch64: tests/tools/kernel_hash.c. */
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>

@@ -47,26 +47,26 @@ size_t orl_mlp_need(const orl_mlp_layer *l, int layers)
     return need;
 }
 
-orl_err orl_mlp_pack(const orl_mlp_layer *l, int layers, unsigned cpu, void *block, size_t size, const orl_mlp **out)
+orl_err orl_mlp_pack(const orl_mlp_layer *l, int layers, unsigned cpu, void *at, size_t size, const orl_mlp **out)
 {
     const orl_mlp_kernel *kernel = orl_mlp_kernel_of(cpu);
     orl_err e = check_shape(l, layers);
     for (int k = 0; !e && k < layers; k++) e = check_values(l + k, k);
     if (e) return e;
-    if (!block || (uintptr_t)block % 64 || size < orl_mlp_need(l, layers)) return orl_fail(ORL_E_MEMORY, "network: %zu bytes at 64-byte steps are wanted", orl_mlp_need(l, layers));
-    orl_arena a = { block, 0 };
+    if (!at || (uintptr_t)at % 64 || size < orl_mlp_need(l, layers)) return orl_fail(ORL_E_MEMORY, "network: %zu bytes at 64-byte steps are wanted", orl_mlp_need(l, layers));
+    orl_arena a = { at, 0 };
     orl_mlp *m = orl_arena_take(&a, sizeof *m);
     m->kernel = kernel;
     m->layers = layers;
     for (int k = 0; k < layers; k++) {
-        const int in = l[k].in, group = kernel->group ? kernel->group : in, move = k ? kernel->hidden : kernel->first;
+        const int in = l[k].in, group = kernel->group, block = kernel->block < l[k].out ? kernel->block : l[k].out, move = k ? kernel->hidden : kernel->first;
         int8_t *bytes = orl_arena_take(&a, (size_t)kernel->bytes * (size_t)in * (size_t)l[k].out);
         int16_t *words = (int16_t *)bytes;
         int32_t *bias = orl_arena_take(&a, 4 * (size_t)l[k].out), *shift = orl_arena_take(&a, 4 * (size_t)l[k].out), *mul = orl_arena_take(&a, 4 * (size_t)l[k].out);
         for (int o = 0; o < l[k].out; o++) {
             int sum = 0;
             for (int i = 0; i < in; i++) {
-                int w = l[k].w[o * in + i], to = (i / group * l[k].out + o) * group + i % group;
+                int w = l[k].w[o * in + i], to = o / block * block * in + (i / group * block + o % block) * group + i % group;
                 sum += w;
                 if (kernel->bytes == 1) bytes[to] = (int8_t)w;
                 else words[to] = (int16_t)w;

@@ -33,7 +33,7 @@ typedef struct orl_mlp orl_mlp;
 
 /* What a variant wants of packing. */
 typedef struct {
-    int group, bytes;           /* weights [in / group][out][group], each of so many bytes; group 0: [out][in] */
+    int block, group, bytes;    /* weights [out / block][in / group][block][group], each of so many bytes; block: no more than out */
     int first, hidden;          /* its operands are x + first, h + hidden */
     void (*run)(const orl_mlp *m, const int8_t *x, int n, int8_t *y);
     int64_t (*peak)(int rounds);    /* the bare dot product on registers: multiply-adds done, for the clock around it to tell this machine's peak. NULL: none */

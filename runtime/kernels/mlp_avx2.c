@@ -18,12 +18,12 @@ INLINE __m256i narrow(__m256i lo, __m256i hi, const int32_t *shift, __m256i mul)
 INLINE void columns(const orl_mlp *m, int k, int o, const int16_t *x, int16_t *h, int8_t *y, const int last)
 {
     const int in = m->layer[k].in, out = m->layer[k].out;
-    const int16_t *w = (const int16_t *)m->layer[k].w + 2 * o;
+    const int16_t *w = (const int16_t *)m->layer[k].w + o * in;
     const __m256i *bias = (const __m256i *)(m->layer[k].bias + o), *mul = (const __m256i *)(m->layer[k].mul + o);
     __m256i acc[ROWS][2], mv = _mm256_packs_epi32(_mm256_load_si256(mul), _mm256_load_si256(mul + 1));
 #pragma GCC unroll 4
     for (int s = 0; s < ROWS; s++) { acc[s][0] = _mm256_load_si256(bias); acc[s][1] = _mm256_load_si256(bias + 1); }
-    for (int g = 0; g < in; g += 2, w += 2 * out) {
+    for (int g = 0; g < in; g += 2, w += 32) {
         __m256i w0 = _mm256_load_si256((const __m256i *)w), w1 = _mm256_load_si256((const __m256i *)(w + 16));
 #pragma GCC unroll 4
         for (int s = 0; s < ROWS; s++) {
@@ -71,4 +71,4 @@ static int64_t peak_avx2(int rounds)
     return (int64_t)rounds * 8 * 16;
 }
 
-const orl_mlp_kernel orl_mlp_avx2 = { 2, 2, 0, 0, run_avx2, peak_avx2 };
+const orl_mlp_kernel orl_mlp_avx2 = { 16, 2, 2, 0, 0, run_avx2, peak_avx2 };

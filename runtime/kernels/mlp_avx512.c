@@ -90,4 +90,4 @@ static int64_t peak_avx512(int rounds)
     return (int64_t)rounds * 16 * 64;
 }
 
-const orl_mlp_kernel orl_mlp_avx512 = { 4, 1, 128, 0, run_avx512, peak_avx512 };
+const orl_mlp_kernel orl_mlp_avx512 = { 64, 4, 1, 128, 0, run_avx512, peak_avx512 };

@@ -21,4 +21,4 @@ static void run_ref(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
     }
 }
 
-const orl_mlp_kernel orl_mlp_ref = { 0, 1, 0, 0, run_ref, NULL };
+const orl_mlp_kernel orl_mlp_ref = { 1, 16, 1, 0, 0, run_ref, NULL };
