@@ -80,11 +80,16 @@ static void run_neon(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
 
 static int64_t peak_neon(int rounds)
 {
-#define DOT(r, t) "smull v" #t ".8h, v31.8b, v31.8b\n\tsmlal2 v" #t ".8h, v31.16b, v31.16b\n\tsadalp v" #r ".4s, v" #t ".8h\n\t"
+#define EACH(op) op(0, 16) op(1, 17) op(2, 18) op(3, 19) op(4, 20) op(5, 21) op(6, 22) op(7, 23)
+#define LOW(acc, t) "smull v" #t ".8h, v31.8b, v31.8b\n\t"
+#define HIGH(acc, t) "smlal2 v" #t ".8h, v31.16b, v31.16b\n\t"
+#define ADD(acc, t) "sadalp v" #acc ".4s, v" #t ".8h\n\t"
     for (int i = 0; i < rounds; i++)
-        __asm__ volatile(DOT(0, 16) DOT(1, 17) DOT(2, 18) DOT(3, 19) DOT(4, 20) DOT(5, 21) DOT(6, 22) DOT(7, 23)
-                         : : : "v0", "v1", "v2", "v3", "v4", "v5", "v6", "v7", "v16", "v17", "v18", "v19", "v20", "v21", "v22", "v23");
-#undef DOT
+        __asm__ volatile(EACH(LOW) EACH(HIGH) EACH(ADD) : : : "v0", "v1", "v2", "v3", "v4", "v5", "v6", "v7", "v16", "v17", "v18", "v19", "v20", "v21", "v22", "v23");
+#undef EACH
+#undef LOW
+#undef HIGH
+#undef ADD
     return (int64_t)rounds * 8 * 16;
 }
 
