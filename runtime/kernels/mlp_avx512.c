@@ -23,7 +23,7 @@ INLINE __m512i narrow(const __m512i *acc, const __m512i shift[4], __m512i mul01,
     return _mm512_permutexvar_epi32(transpose, last ? _mm512_packs_epi16(a, b) : _mm512_packus_epi16(a, b));
 }
 
-/* A layer of 16 VECTORS outputs on 16 samples, `samples` at a time: accumulators enough to hide a latency, and a multiple of 4. */
+/* A layer of 16 `vectors` outputs on 16 samples, some at a time: accumulators enough to hide a latency, and a multiple of 4. Loops that have to unroll count to constants: clang leaves others. */
 INLINE void layer(const orl_mlp *m, int k, const uint8_t *x, uint8_t *y, const int vectors, const int last)
 {
     const int samples = vectors == 1 ? 16 : vectors == 2 ? 8 : 4, in = m->layer[k].in;
@@ -32,29 +32,32 @@ INLINE void layer(const orl_mlp *m, int k, const uint8_t *x, uint8_t *y, const i
         const int8_t *w = m->layer[k].w;
         __m512i acc[16];
 #pragma GCC unroll 16
-        for (int i = 0; i < samples * vectors; i++) acc[i] = _mm512_load_si512(bias + 16 * (i % vectors));
+        for (int i = 0; i < 16; i++) acc[i] = _mm512_load_si512(bias + 16 * (i % vectors));
         for (int g = 0; g < in; g += 4, w += 64 * vectors) {
             __m512i wv[4];
 #pragma GCC unroll 4
-            for (int v = 0; v < vectors; v++) wv[v] = _mm512_load_si512(w + 64 * v);
+            for (int v = 0; v < 4; v++) if (v < vectors) wv[v] = _mm512_load_si512(w + 64 * v);
 #pragma GCC unroll 16
-            for (int s = 0; s < samples; s++) {
+            for (int i = 0; i < 16; i++) {
+                if (i >= samples) continue;
                 int32_t four;
-                memcpy(&four, x + s * in + g, 4);
+                memcpy(&four, x + i * in + g, 4);
                 __m512i xv = _mm512_set1_epi32(four);
 #pragma GCC unroll 4
-                for (int v = 0; v < vectors; v++) acc[s * vectors + v] = dot(acc[s * vectors + v], xv, wv[v]);
+                for (int v = 0; v < 4; v++) if (v < vectors) acc[i * vectors + v] = dot(acc[i * vectors + v], xv, wv[v]);
             }
         }
 #pragma GCC unroll 4
-        for (int q = 0; q < samples * vectors; q += 4, y += 64) {
+        for (int q = 0; q < 4; q++) {
+            if (4 * q >= samples * vectors) continue;
             __m512i sv[4], mv[4];
 #pragma GCC unroll 4
             for (int i = 0; i < 4; i++) {
-                sv[i] = _mm512_load_si512(shift + 16 * ((q + i) % vectors));
-                mv[i] = _mm512_load_si512(mul + 16 * ((q + i) % vectors));
+                sv[i] = _mm512_load_si512(shift + 16 * ((4 * q + i) % vectors));
+                mv[i] = _mm512_load_si512(mul + 16 * ((4 * q + i) % vectors));
             }
-            _mm512_storeu_si512(y, narrow(acc + q, sv, _mm512_packs_epi32(mv[0], mv[1]), _mm512_packs_epi32(mv[2], mv[3]), last));
+            _mm512_storeu_si512(y, narrow(acc + 4 * q, sv, _mm512_packs_epi32(mv[0], mv[1]), _mm512_packs_epi32(mv[2], mv[3]), last));
+            y += 64;
         }
     }
 }
