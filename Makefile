@@ -27,6 +27,7 @@ have = $(shell $(PKG) --exists $(1) 2>/dev/null && echo 1)
 OPT_JPEG := $(call have,libjpeg)
 OPT_PNG := $(call have,libpng)
 OPT_EXR := $(call have,OpenEXR)
+# for oriel bench --mlp alone
 OPT_XNN := $(if $(filter host,$(BOARD)),$(shell printf '\043include <xnnpack.h>' | $(CC) -E - >/dev/null 2>&1 && echo 1))
 LIBS := $(if $(OPT_JPEG),$(shell $(PKG) --libs libjpeg)) $(if $(OPT_PNG),$(shell $(PKG) --libs --static libpng)) $(if $(OPT_EXR),-lOpenEXRCore) -lpthread -lm
 DEFS := $(if $(OPT_JPEG),-DORL_HAVE_JPEG) $(if $(OPT_PNG),-DORL_HAVE_PNG) $(if $(OPT_EXR),-DORL_HAVE_EXR $(shell $(PKG) --cflags OpenEXR))

@@ -4,7 +4,7 @@
 set -eu
 json=0; [ "${1:-}" = --json ] && json=1
 for tool in qemu-aarch64 aarch64-linux-gnu-gcc aarch64-linux-gnu-objdump llvm-mca; do command -v $tool >/dev/null || { echo "boards: skipped, no $tool" >&2; exit 77; }; done
-make -s BOARD=rpi5 CC=aarch64-linux-gnu-gcc SAN= build/rpi5/oriel >&2
+make -s BOARD=rpi4 CC=aarch64-linux-gnu-gcc SAN= build/rpi4/oriel >&2
 W=$(mktemp -d)
 trap 'rm -rf "$W"' EXIT
 macs=$((4096 * (32 * 64 + 64 * 64 + 64 * 16)))
@@ -16,7 +16,7 @@ row() { # VARIANT WHAT KEY VALUE IDEAL
 
 # The innermost loop of a function that holds the most dot products; their number (16 multiply-adds each, smull and smlal2 being one) goes to FILE.n
 loop() { # VARIANT FUNCTION FILE
-    aarch64-linux-gnu-objdump -d --no-show-raw-insn "build/rpi5/obj/runtime/kernels/mlp_$1.o" | awk -v name="<$2>:" -v count="$3.n" '
+    aarch64-linux-gnu-objdump -d --no-show-raw-insn "build/rpi4/obj/runtime/kernels/mlp_$1.o" | awk -v name="<$2>:" -v count="$3.n" '
         / <.*>:$/ { inside = index($0, name) }
         inside && /^ *[0-9a-f]+:\t/ {
             split($0, f, "\t"); sub(/^ */, "", f[1]); sub(/:.*/, "", f[1]); sub(/ *\/\/.*/, "", f[3])
@@ -39,7 +39,7 @@ estimate() { # FILE CPU: multiply-adds a cycle
     llvm-mca -mtriple=aarch64-linux-gnu -mcpu="$2" -mattr=+dotprod -iterations=200 "$1" | awk -v dots="$(cat "$1.n")" '/^Total Cycles:/ { printf "%.2f", dots * 16 * 200 / $3 }'
 }
 
-tests/count.sh run_ build/rpi5/oriel bench --mlp >"$W/counts" 2>/dev/null
+tests/count.sh run_ build/rpi4/oriel bench --mlp >"$W/counts" 2>/dev/null
 for variant in neon:5.333:a53,a72,a76 dotprod:16:a76; do
     IFS=: read -r name ideal cpus <<<"$variant"
     row "$name" "counted" macs_an_instruction "$(awk -v f="run_$name" -v macs=$macs '$1 == f && $2 == "calls" { c = $3 } $1 == f && $2 == "instructions" { n = $3 } END { printf "%.2f", macs * c / n }' "$W/counts")" "$ideal"
