@@ -36,5 +36,7 @@ orl_err orl_camera_fit(orl_camera *c, const char *name, int w, int h);
 
 /* A scene file to render: one that holds a sky decoder alone is ORL_E_FORMAT. */
 orl_err orl_place_open(const char *path, orl_scene *out);
+/* The rows of `oriel bench --mlp`. */
+orl_err orl_bench_mlp(int json);
 double orl_seconds(void);       /* monotonic */
 #endif

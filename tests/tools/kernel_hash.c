@@ -1,8 +1,9 @@
-/* kernel_hash: one FNV-1a hash over the outputs of the re-lighting kernels and of a small marched view, one line per variant this machine has. All lines, on all machines, must carry the same hash. */
+/* kernel_hash: one FNV-1a hash over the outputs of the re-lighting kernels, of int8 networks and of a small marched view, one line per variant this machine has. All lines, on all machines, must carry the same hash. */
 #include <stdio.h>
 #include <stdlib.h>
 #include "oriel/view.h"
 #include "tests/kernel_data.h"
+#include "tests/mlp_data.h"
 #include "tests/synth_scene.h"
 
 static const char *const variants[] = {
@@ -44,6 +45,27 @@ static uint64_t hash_kernels(unsigned cpu)
     return h;
 }
 
+static int hash_mlp(unsigned cpu, uint64_t *h)
+{
+    static mlp_data m;
+    static int8_t y[MLP_ROWS * ORL_MLP_WIDTH];
+    int bad = 0;
+    for (int i = 0; !bad && i < 4 * MLP_MODES; i++) {
+        const int width[] = { 16 + 16 * (i % 4), 16 + 16 * (i / 2 % 4), 64, 16 + 16 * (i / 4 % 4) };
+        const orl_mlp *net = NULL;
+        mlp_data_fill(&m, 2000 + (uint64_t)i, 3, width, (mlp_mode)(i % MLP_MODES), MLP_ROWS);
+        size_t need = orl_mlp_need(m.layer, m.layers);
+        void *block = aligned_alloc(64, need);
+        bad = !block || orl_mlp_pack(m.layer, m.layers, cpu, block, need, &net);
+        if (!bad) {
+            orl_mlp_run(net, m.x, MLP_ROWS, y);
+            *h = fnv(*h, y, (size_t)(MLP_ROWS * width[3]));
+        }
+        free(block);
+    }
+    return bad;
+}
+
 static int hash_view(unsigned cpu, uint64_t *h)
 {
     orl_scene sc;
@@ -78,7 +100,7 @@ int main(void)
         unsigned cpu;
         if (orl_cpu_from_name(variants[i], &cpu)) continue;
         uint64_t h = hash_kernels(cpu);
-        if (hash_view(cpu, &h)) { fprintf(stderr, "kernel_hash: %s\n", orl_error_text()); return 1; }
+        if (hash_mlp(cpu, &h) || hash_view(cpu, &h)) { fprintf(stderr, "kernel_hash: %s\n", orl_error_text()); return 1; }
         printf("%016llx %s\n", (unsigned long long)h, variants[i]);
     }
     return 0;
