@@ -14,7 +14,7 @@ enum { BATCH = 4096, LAYERS = 3, WIDE = ORL_MLP_WIDTH, ROUNDS = 30, PEAK_ROUNDS 
 static const int WIDTH[LAYERS + 1] = { 32, 64, 64, 16 };
 static const double SCALE[LAYERS] = { 1.0 / 256, 1.0 / 512, 1.0 / 512 };
 static const char *const VARIANT[] = {
-#define NAME(n) n,
+#define NAME(n) #n,
     ORL_KERNEL_VARIANTS(NAME)
 #undef NAME
 };

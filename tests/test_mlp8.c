@@ -12,7 +12,7 @@
 #include "tests/mlp_data.h"
 
 static const char *const variants[] = {
-#define NAME(n) n,
+#define NAME(n) #n,
     ORL_KERNEL_VARIANTS(NAME)
 #undef NAME
 };
