@@ -186,7 +186,7 @@ static orl_err loop(const options *o, orl_widen *w, orl_source *source)
         if (got < 0) continue;
         double t[4];
         t[0] = orl_seconds();
-        orl_frame_to_rgb(&source->info, &f, 0, source->info.h, photo, (size_t)source->info.w * 3);
+        orl_frame_to_rgb(&source->info, &f, w->config.cpu, 0, source->info.h, photo, (size_t)source->info.w * 3);
         t[1] = orl_seconds();
         e = orl_widen_adapt(w, photo);
         t[2] = orl_seconds();
