@@ -13,11 +13,12 @@
 #include "runtime/widen.h"
 
 static const char HELP[] =
-    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE) [OPTION]...\n"
+    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --convert) [OPTION]...\n"
     "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a camera loop. One thread; best of several runs; ratios are taken in one run.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
+    "  --convert        alone: conversion of every camera format to RGB, on made-up pictures\n"
     "  --source SOURCE  replay:PATH: also the stages of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
@@ -37,7 +38,7 @@ enum { VARIANTS = sizeof VARIANT / sizeof *VARIANT };
 typedef struct {
     const char *scene, *baked, *source;
     orl_view_request view;
-    int frames, json;
+    int frames, json, convert;
 } options;
 
 /* ---- rows */
@@ -81,6 +82,8 @@ static void say(const options *o, const row *r)
     }
     fflush(stdout);
 }
+
+static void say_convert(void *o, const char *name, const char *variant, double seconds, size_t bytes) { say(o, &(row){ name, variant, seconds, NAN, bytes }); }
 
 /* ---- kernels on a view */
 
@@ -259,7 +262,7 @@ static int parse(int argc, char **argv, options *o)
 {
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' },
-        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' }, { "help", no_argument, NULL, 'h' }, { 0 } };
+        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' }, { "convert", no_argument, NULL, 'k' }, { "help", no_argument, NULL, 'h' }, { 0 } };
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
@@ -270,6 +273,7 @@ static int parse(int argc, char **argv, options *o)
         case 'S': o->source = optarg; break;
         case 'n': e = orl_option_int("--frames", optarg, 2, 1 << 30, &o->frames); break;
         case 'j': o->json = 1; break;
+        case 'k': o->convert = 1; break;
         case 'h': printf("%s", HELP); return -1;
         default:
             if (c == 'o') orl_fail(ORL_E_RANGE, "unknown option -o");
@@ -277,8 +281,9 @@ static int parse(int argc, char **argv, options *o)
         }
     }
     if (e) return ORL_EXIT_USAGE;
-    if (argc != optind || (o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
-        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose");
+    if (argc == optind && o->convert && !o->baked && !o->scene && !o->view.pose) return ORL_EXIT_DONE;
+    if (argc != optind || o->convert || (o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
+        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose, or --convert alone");
         return ORL_EXIT_USAGE;
     }
     return ORL_EXIT_DONE;
@@ -289,5 +294,5 @@ int orl_cmd_bench(int argc, char **argv)
     options o = { .view.otherwise = 1.8 };
     int code = parse(argc, argv, &o);
     if (code) return code < 0 ? ORL_EXIT_DONE : code;
-    return bench(&o) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
+    return (o.convert ? orl_bench_convert(say_convert, &o) : bench(&o)) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
 }

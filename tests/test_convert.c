@@ -80,7 +80,7 @@ static void all_triples(void **state)
             }
         }
         print_message("figure: BT.%s %s: at most %.4f levels from the real matrix, %.3f %% of values not its nearest\n", m / 2 ? "709" : "601", m % 2 ? "full" : "limited", worst, 100.0 * (double)off / (3.0 * (1 << 24)));
-        assert_true(worst < 0.52);
+        assert_true(worst < 0.51);
     }
 }
 
@@ -326,7 +326,7 @@ static int run(const char *fmt, ...)
     return system(cmd);
 }
 
-/* Smooth, every hue, with an edge: chroma that is interpolated and chroma that is repeated must come close but at the edge. */
+/* Smooth, every hue, with a faint edge. ffmpeg's neighbor scaler repeats chroma as Oriel does. */
 static void picture(uint8_t *rgb)
 {
     for (int y = 0; y < FH; y++)
@@ -346,7 +346,8 @@ static void agrees_with_ffmpeg(void **state)
     static uint8_t rgb[FW * FH * 3], ours[FW * FH * 3];
     picture(rgb);
     put_bytes(at("in.rgb"), rgb, sizeof rgb);
-    for (size_t i = 0; i < sizeof FORMAT / sizeof *FORMAT; i++)
+    for (size_t i = 0; i < sizeof FORMAT / sizeof *FORMAT; i++) {
+        int most = 0;
         for (int m = 0; m < 4; m++) {
             const char *matrix = m / 2 ? "bt709" : "bt601", *range = m % 2 ? "pc" : "tv";
             int yuv = FORMAT[i].p != ORL_PIX_RGB && FORMAT[i].p != ORL_PIX_BGR;
@@ -378,10 +379,13 @@ static void agrees_with_ffmpeg(void **state)
                 sum += d;
                 photo += abs(ours[k] - rgb[k]);
             }
-            print_message("figure: %-8s %s %s: at most %d levels from ffmpeg's, %.3f on the mean; %.3f from the picture\n", FORMAT[i].name, matrix, range, worst, sum / (FW * FH * 3), photo / (FW * FH * 3));
-            assert_true(yuv ? worst <= 4 && sum / (FW * FH * 3) < 0.6 : worst == 0);
+            most = worst > most ? worst : most;
+            assert_true(sum / (FW * FH * 3) < 0.05);
             if (FORMAT[i].p != ORL_PIX_MONO) assert_true(photo / (FW * FH * 3) < (yuv ? 2 : 0.001));
         }
+        print_message("figure: %s: at most %d levels from ffmpeg's\n", FORMAT[i].name, most);
+        assert_true(most <= (FORMAT[i].p == ORL_PIX_RGB || FORMAT[i].p == ORL_PIX_BGR ? 0 : 2));
+    }
 }
 
 int main(void)

@@ -3,8 +3,8 @@
  *   c = clamp((k_y Y + a_c A + b_c B + add_c) >> 14, 0, 255)     c: R, G, B; Y, A, B bytes as stored, A the chroma that comes first in memory; x >> k rounds down
  *
  * k_y, a, b are Q14, but blue's a and b Q13 and taken twice (U to B exceeds 2 in limited range). add_c holds black, the 128 of chroma and 2^13 for rounding to nearest.
- * The sum is exact in 32 bits (below 2^24); results are within 0.52 of the real matrix's, so at most 1 level from its rounded value: tests/test_convert.c goes through all 2^24 triples.
- * In 16 bits (each product rounded by mul of shade.h) it would be a third faster on AVX2 and differ by a level in one value of 200; the exact form keeps what Y4M replays have given all along.
+ * The sum is exact in 32 bits (below 2^24); results are within 0.51 of the real matrix's, so at most 1 level from its rounded value: tests/test_convert.c goes through all 2^24 triples.
+ * In 16 bits (each product rounded by mul of shade.h to Q6) 0.8 % of limited range's values would be a level off; the exact form also keeps what Y4M replays have given all along.
  *
  * Lengths are multiples of ORL_CONVERT_STEP, no kernel has a tail: orl_frame_to_rgb() takes the rest of a row through a padded copy. Pointers need no alignment.
  * A kernel reads the n pixels of its rows and writes 3 n bytes, nothing else; rows in and out do not overlap. */

@@ -47,28 +47,35 @@ INLINE void store64(const constants *k, colours a, colours b, uint8_t *rgb)
         _mm512_storeu_si512(rgb + 64 * j, _mm512_mask_permutexvar_epi8(_mm512_permutex2var_epi8(v[0], k->weave[j], v[1]), BLUE[j], k->weave[j], v[2]));
 }
 
-INLINE void step(const constants *k, __m512i y, __m512i uv, uint8_t *rgb)
+/* Words U, V of pairs 0..3 of each 8, and the others: indices of their low bytes into U, from 64 on into V; high bytes are 0. */
+#define C2(i) (i), 0, (i) + 64, 0
+#define C8(i) C2(i), C2(i + 1), C2(i + 2), C2(i + 3)
+static const uint8_t PAIR[2][64] = { { C8(0), C8(8), C8(16), C8(24) }, { C8(4), C8(12), C8(20), C8(28) } };
+
+INLINE void step(const constants *k, __m512i y, __m512i c0, __m512i c1, uint8_t *rgb)
 {
     const __m512i zero = _mm512_setzero_si512();
-    __m512i c0 = _mm512_unpacklo_epi8(uv, zero), c1 = _mm512_unpackhi_epi8(uv, zero);
     store64(k, convert32(k, _mm512_unpacklo_epi8(y, zero), c0, c0), convert32(k, _mm512_unpackhi_epi8(y, zero), c1, c1), rgb);
 }
 
 void orl_convert_half_avx512(const uint8_t *const p[3], const orl_yuv_tab *t, int n, uint8_t *rgb)
 {
     const constants k = prepare(t);
-    const __m512i quarters = _mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7);        /* eight bytes of U beside eight of V in every lane */
+    const __m512i i0 = load(PAIR[0]), i1 = load(PAIR[1]);
     for (int i = 0; i < n; i += 64, rgb += 192) {
-        __m512i c = _mm512_inserti64x4(_mm512_castsi256_si512(_mm256_loadu_si256((const __m256i *)(p[1] + i / 2))), _mm256_loadu_si256((const __m256i *)(p[2] + i / 2)), 1);
-        c = _mm512_permutexvar_epi64(quarters, c);
-        step(&k, load(p[0] + i), _mm512_unpacklo_epi8(c, _mm512_bsrli_epi128(c, 8)), rgb);
+        __m512i u = _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i *)(p[1] + i / 2))), v = _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i *)(p[2] + i / 2)));
+        step(&k, load(p[0] + i), _mm512_maskz_permutex2var_epi8(0x5555555555555555, u, i0, v), _mm512_maskz_permutex2var_epi8(0x5555555555555555, u, i1, v), rgb);
     }
 }
 
 void orl_convert_semi_avx512(const uint8_t *const p[3], const orl_yuv_tab *t, int n, uint8_t *rgb)
 {
     const constants k = prepare(t);
-    for (int i = 0; i < n; i += 64, rgb += 192) step(&k, load(p[0] + i), load(p[1] + i), rgb);
+    const __m512i zero = _mm512_setzero_si512();
+    for (int i = 0; i < n; i += 64, rgb += 192) {
+        __m512i c = load(p[1] + i);
+        step(&k, load(p[0] + i), _mm512_unpacklo_epi8(c, zero), _mm512_unpackhi_epi8(c, zero), rgb);
+    }
 }
 
 INLINE colours full32(const constants *k, __m512i y, __m512i u, __m512i v)
