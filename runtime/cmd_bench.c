@@ -19,7 +19,7 @@ static const char HELP[] =
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
     "  --convert        alone: conversion of every camera format to RGB, on made-up pictures\n"
-    "  --source SOURCE  replay:PATH: also the stages of `oriel run` on these pictures\n"
+    "  --source SOURCE  as of run: also the stages of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
     "  --size WxH       size of the wide picture\n"

@@ -85,6 +85,7 @@ void orl_convert_swap_neon(const uint8_t *const p[3], const orl_yuv_tab *t, int 
     (void)t;
     for (int i = 0; i < 3 * n; i += 48) {
         uint8x16x3_t v = vld3q_u8(p[0] + i);
-        vst3q_u8(rgb + i, (uint8x16x3_t) { { v.val[2], v.val[1], v.val[0] } });
+        uint8x16x3_t o = { { v.val[2], v.val[1], v.val[0] } };
+        vst3q_u8(rgb + i, o);
     }
 }
