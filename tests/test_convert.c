@@ -239,6 +239,37 @@ static void bad_frames(void **state)
     assert_int_equal(orl_pixels_from_name("mjpeg"), ORL_PIX_COUNT);
 }
 
+/* Sizes, strides and lengths at random, planes no longer than they say: refused in a line, or converted without a byte read outside. */
+static void random_frames(void **state)
+{
+    (void)state;
+    static uint8_t rgb[40 * 200 * 3];
+    int taken = 0;
+    seed_print();
+    fenced plane[3] = { fence(8192), fence(8192), fence(8192) };
+    for (int k = 0; k < 3; k++) memset(plane[k].p, 0x5a, 8192);
+    for (int round = 0; round < 100000; round++) {
+        orl_source_info info = info_of((orl_pixels)(rnd() % ORL_PIX_COUNT), (int)(rnd() % 201) - (rnd() % 16 == 0), (int)(rnd() % 41), (orl_matrix)(rnd() & 1), (int)(rnd() & 1));
+        orl_frame f = { { NULL }, { 0 }, { 0 } };
+        for (int k = 0; k < 3; k++) {
+            size_t even = info.w > 0 && rnd() % 4 ? (size_t)info.w * (1 + rnd() % 3) : rnd() % 700;
+            f.stride[k] = rnd() % 64 ? even : SIZE_MAX - even;
+            f.bytes[k] = rnd() % 8 && info.h > 0 ? even * (size_t)info.h : rnd() % 8193;
+            if (f.bytes[k] > 8192) f.bytes[k] = 8192;
+            if (rnd() % 64) f.plane[k] = plane[k].p + 8192 - f.bytes[k];
+        }
+        if (orl_frame_check(&info, &f)) {
+            failed(ORL_E_RANGE, ORL_E_RANGE, NULL);
+            continue;
+        }
+        orl_frame_to_rgb(&info, &f, orl_cpu_detect(), 0, info.h, rgb, 3 * (size_t)info.w);
+        taken++;
+    }
+    for (int k = 0; k < 3; k++) munmap(plane[k].map, plane[k].bytes);
+    print_message("%d of 100000 taken\n", taken);
+    assert_in_range(taken, 5000, 95000);
+}
+
 /* A camera whose driver hands out what it should not: such pictures are lost, named, and the next ones come. */
 typedef struct { orl_source base; int at; uint8_t px[2][6 * 4 * 2]; } camera;
 static int camera_next(orl_source *s, orl_frame *f)
@@ -391,7 +422,7 @@ static void agrees_with_ffmpeg(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(all_triples), cmocka_unit_test(variants), cmocka_unit_test(any_size), cmocka_unit_test(bad_frames), cmocka_unit_test(bad_frames_are_lost),
+        cmocka_unit_test(all_triples), cmocka_unit_test(variants), cmocka_unit_test(any_size), cmocka_unit_test(bad_frames), cmocka_unit_test(random_frames), cmocka_unit_test(bad_frames_are_lost),
         cmocka_unit_test_setup_teardown(raw_files, scratch_make, scratch_remove), cmocka_unit_test_setup_teardown(agrees_with_ffmpeg, scratch_make, scratch_remove),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
