@@ -1,7 +1,8 @@
 /* Conversion to RGB for AVX2: convert.h's arithmetic, 32 pixels a step. Built into every x86-64 program, called where the CPU has it.
  *
  * A 32-bit lane holds a pair of pixels as two words, and their chroma A, B as two words of another vector: multiply-add with (k_y, 0) and (0, k_y) gives the two lumas, with (a, b) the
- * chroma's part. Words are taken four times, so that a result is the upper half of its lane: the pair's two halves come together by one shift and one blend. */
+ * chroma's part. Words are taken four times, so that a result is the upper half of its lane: the pair's two halves come together by one shift and one blend.
+ * Blue's chroma is taken eight times, its coefficients being Q13. */
 #include <immintrin.h>
 #include "runtime/kernels/convert.h"
 
@@ -23,15 +24,18 @@ INLINE constants prepare(const orl_yuv_tab *t)
     return k;
 }
 
-/* 16 pixels: y words in pairs, ce and co the chroma of each pair's pixels as words A, B. Words out, not clamped. */
-INLINE colours convert16(const constants *k, __m256i y, __m256i ce, __m256i co)
+/* Words A, B of pairs, four and eight times. */
+typedef struct { __m256i four, eight; } chroma;
+
+INLINE chroma scaled(__m256i c) { return (chroma) { _mm256_slli_epi16(c, 2), _mm256_slli_epi16(c, 3) }; }
+
+/* 16 pixels: y words in pairs, four times; ce and co of the pairs' even and odd pixels. Words out, not clamped. */
+INLINE colours convert16(const constants *k, __m256i y, chroma ce, chroma co)
 {
     colours o;
-    y = _mm256_slli_epi16(y, 2);
     __m256i e = _mm256_madd_epi16(y, k->even), d = _mm256_madd_epi16(y, k->odd);
     for (int c = 0; c < 3; c++) {
-        __m256i se = _mm256_add_epi32(_mm256_madd_epi16(_mm256_slli_epi16(ce, c == 2 ? 3 : 2), k->c[c]), k->add[c]);
-        __m256i so = _mm256_add_epi32(_mm256_madd_epi16(_mm256_slli_epi16(co, c == 2 ? 3 : 2), k->c[c]), k->add[c]);
+        __m256i se = _mm256_add_epi32(_mm256_madd_epi16(c == 2 ? ce.eight : ce.four, k->c[c]), k->add[c]), so = _mm256_add_epi32(_mm256_madd_epi16(c == 2 ? co.eight : co.four, k->c[c]), k->add[c]);
         o.c[c] = _mm256_blend_epi16(_mm256_srli_epi32(_mm256_add_epi32(e, se), 16), _mm256_add_epi32(d, so), 0xaa);
     }
     return o;
@@ -55,8 +59,8 @@ INLINE void store32(colours a, colours b, uint8_t *rgb)
 INLINE void step(const constants *k, __m256i y, __m256i uv, uint8_t *rgb)
 {
     const __m256i zero = _mm256_setzero_si256();
-    __m256i c0 = _mm256_unpacklo_epi8(uv, zero), c1 = _mm256_unpackhi_epi8(uv, zero);
-    store32(convert16(k, _mm256_unpacklo_epi8(y, zero), c0, c0), convert16(k, _mm256_unpackhi_epi8(y, zero), c1, c1), rgb);
+    chroma c0 = scaled(_mm256_unpacklo_epi8(uv, zero)), c1 = scaled(_mm256_unpackhi_epi8(uv, zero));
+    store32(convert16(k, _mm256_slli_epi16(_mm256_unpacklo_epi8(y, zero), 2), c0, c0), convert16(k, _mm256_slli_epi16(_mm256_unpackhi_epi8(y, zero), 2), c1, c1), rgb);
 }
 
 void orl_convert_half_avx2(const uint8_t *const p[3], const orl_yuv_tab *t, int n, uint8_t *rgb)
@@ -76,7 +80,7 @@ void orl_convert_semi_avx2(const uint8_t *const p[3], const orl_yuv_tab *t, int 
 
 INLINE colours full16(const constants *k, __m256i y, __m256i u, __m256i v)
 {
-    return convert16(k, y, _mm256_blend_epi16(u, _mm256_slli_epi32(v, 16), 0xaa), _mm256_blend_epi16(_mm256_srli_epi32(u, 16), v, 0xaa));
+    return convert16(k, _mm256_slli_epi16(y, 2), scaled(_mm256_blend_epi16(u, _mm256_slli_epi32(v, 16), 0xaa)), scaled(_mm256_blend_epi16(_mm256_srli_epi32(u, 16), v, 0xaa)));
 }
 
 void orl_convert_full_avx2(const uint8_t *const p[3], const orl_yuv_tab *t, int n, uint8_t *rgb)
@@ -90,15 +94,15 @@ void orl_convert_full_avx2(const uint8_t *const p[3], const orl_yuv_tab *t, int 
     }
 }
 
+/* Multiply-add of bytes takes luma or chroma out of the words and scales it at once. */
 INLINE void packed(const uint8_t *p, const orl_yuv_tab *t, int n, uint8_t *rgb, int y_first)
 {
     const constants k = prepare(t);
-    const __m256i low = _mm256_set1_epi16(255);
+    const __m256i y4 = _mm256_set1_epi16(y_first ? 4 : 4 << 8), c4 = _mm256_set1_epi16(y_first ? 4 << 8 : 4), c8 = _mm256_set1_epi16(y_first ? 8 << 8 : 8);
     for (int i = 0; i < n; i += 32, rgb += 96) {
         __m256i a = two(p + 2 * i, p + 2 * i + 32), b = two(p + 2 * i + 16, p + 2 * i + 48);
-        __m256i a0 = _mm256_and_si256(a, low), a1 = _mm256_srli_epi16(a, 8), b0 = _mm256_and_si256(b, low), b1 = _mm256_srli_epi16(b, 8);
-        if (y_first) store32(convert16(&k, a0, a1, a1), convert16(&k, b0, b1, b1), rgb);
-        else store32(convert16(&k, a1, a0, a0), convert16(&k, b1, b0, b0), rgb);
+        chroma ca = { _mm256_maddubs_epi16(a, c4), _mm256_maddubs_epi16(a, c8) }, cb = { _mm256_maddubs_epi16(b, c4), _mm256_maddubs_epi16(b, c8) };
+        store32(convert16(&k, _mm256_maddubs_epi16(a, y4), ca, ca), convert16(&k, _mm256_maddubs_epi16(b, y4), cb, cb), rgb);
     }
 }
 
