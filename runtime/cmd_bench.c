@@ -13,13 +13,14 @@
 #include "runtime/widen.h"
 
 static const char HELP[] =
-    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --mlp) [OPTION]...\n"
+    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --convert | --mlp) [OPTION]...\n"
     "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a camera loop. One thread; best of several runs; ratios are taken in one run.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
-    "  --mlp            instead of all: the int8 network beside the machine's peak and, where it is built in, XNNPACK\n"
-    "  --source SOURCE  replay:PATH: also the stages of `oriel run` on these pictures\n"
+    "  --convert        alone: conversion of every camera format to RGB, on made-up pictures\n"
+    "  --mlp            alone: the int8 network beside the machine's peak and, where it is built in, XNNPACK\n"
+    "  --source SOURCE  as of run: also the stages of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
     "  --size WxH       size of the wide picture\n"
@@ -38,7 +39,7 @@ enum { VARIANTS = sizeof VARIANT / sizeof *VARIANT };
 typedef struct {
     const char *scene, *baked, *source;
     orl_view_request view;
-    int frames, json, mlp;
+    int frames, json, convert, mlp;
 } options;
 
 /* ---- rows */
@@ -82,6 +83,8 @@ static void say(const options *o, const row *r)
     }
     fflush(stdout);
 }
+
+static void say_convert(void *o, const char *name, const char *variant, double seconds, size_t bytes) { say(o, &(row){ name, variant, seconds, NAN, bytes }); }
 
 /* ---- kernels on a view */
 
@@ -182,7 +185,7 @@ static orl_err loop(const options *o, orl_widen *w, orl_source *source)
         if (got < 0) continue;
         double t[4];
         t[0] = orl_seconds();
-        orl_frame_to_rgb(&source->info, &f, 0, source->info.h, photo, (size_t)source->info.w * 3);
+        orl_frame_to_rgb(&source->info, &f, w->config.cpu, 0, source->info.h, photo, (size_t)source->info.w * 3);
         t[1] = orl_seconds();
         e = orl_widen_adapt(w, photo);
         t[2] = orl_seconds();
@@ -255,7 +258,8 @@ static int parse(int argc, char **argv, options *o)
 {
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' },
-        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "mlp", no_argument, NULL, 'm' }, { "json", no_argument, NULL, 'j' }, { "help", no_argument, NULL, 'h' }, { 0 } };
+        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' },
+        { "convert", no_argument, NULL, 'k' }, { "mlp", no_argument, NULL, 'm' }, { "help", no_argument, NULL, 'h' }, { 0 } };
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
@@ -267,6 +271,7 @@ static int parse(int argc, char **argv, options *o)
         case 'n': e = orl_option_int("--frames", optarg, 2, 1 << 30, &o->frames); break;
         case 'm': o->mlp = 1; break;
         case 'j': o->json = 1; break;
+        case 'k': o->convert = 1; break;
         case 'h': printf("%s", HELP); return -1;
         default:
             if (c == 'o') orl_fail(ORL_E_RANGE, "unknown option -o");
@@ -274,8 +279,9 @@ static int parse(int argc, char **argv, options *o)
         }
     }
     if (e) return ORL_EXIT_USAGE;
-    if (argc != optind || (o->mlp ? o->baked || o->scene || o->view.pose || o->source : o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
-        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose, or --mlp alone");
+    const int place = o->baked || o->scene || o->view.pose || o->source, alone = o->convert + o->mlp;
+    if (argc != optind || (alone ? place || alone > 1 : o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
+        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose, or --convert or --mlp alone");
         return ORL_EXIT_USAGE;
     }
     return ORL_EXIT_DONE;
@@ -286,5 +292,5 @@ int orl_cmd_bench(int argc, char **argv)
     options o = { .view.otherwise = 1.8 };
     int code = parse(argc, argv, &o);
     if (code) return code < 0 ? ORL_EXIT_DONE : code;
-    return (o.mlp ? orl_bench_mlp(o.json) : bench(&o)) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
+    return (o.mlp ? orl_bench_mlp(o.json) : o.convert ? orl_bench_convert(say_convert, &o) : bench(&o)) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
 }
