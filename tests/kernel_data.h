@@ -120,7 +120,7 @@ static inline orl_warp_in kd_warp_struct(const kernel_data *d, int x)
 }
 static inline orl_vis_in kd_vis_struct(const kernel_data *d, int x)
 {
-    orl_vis_in in = { { d->horizon[0] + x, d->horizon[1] + x }, { NULL, NULL }, d->traced ? d->fix + x : NULL };
+    orl_vis_in in = { { d->horizon[0] + x, d->horizon[1] + x }, { NULL, NULL }, d->traced ? d->fix + x : NULL, d->cov + x };
     if (d->ceilings) in.ceiling[0] = d->ceiling[0] + x, in.ceiling[1] = d->ceiling[1] + x;
     return in;
 }

@@ -25,7 +25,7 @@ static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output
     orl_shade_in in = kd_in_struct(d, x);
     orl_mix_in mix = kd_mix_struct(d, x);
     k->vis(&vis, &d->vis_tab, n, o->vis);
-    k->shadow((const int8_t *const[]){ d->phi[0] + ORL_PHI_GROUP * x, d->phi[1] + ORL_PHI_GROUP * x }, &d->tab, n, o->s);
+    k->shadow((const int8_t *const[]){ d->phi[0] + ORL_PHI_GROUP * x, d->phi[1] + ORL_PHI_GROUP * x }, d->cov + x, &d->tab, n, o->s);
     k->shade(&in, &d->tab, n, o->rgb);
     memcpy(o->mixed, d->render + 3 * x, 3 * (size_t)n);
     k->mix(&mix, n, o->mixed);
@@ -77,12 +77,13 @@ static void test_vis_is_smoothstep(void **state)
     const double quarter = 1.5707963267949, el = 0.7, unit = 255 * 256 / quarter;
     uint8_t h0[256], h1[256];
     int8_t fix[256];
+    uint8_t cov[256];
     int16_t vis[256];
-    for (int i = 0; i < 256; i++) { h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); fix[i] = (int8_t)(i % 3 * 127 - 127); }
+    for (int i = 0; i < 256; i++) { cov[i] = 255; h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); fix[i] = (int8_t)(i % 3 * 127 - 127); }
     for (int f = 0; f <= 256; f += 37)
         for (int mode = 0; mode < 3; mode++) {
             orl_vis_tab t = { 3, 4, f, (int32_t)((el + ORL_SUN_SOFT / 2) * unit), (int32_t)((quarter - el + ORL_SUN_SOFT / 2) * unit) };
-            orl_vis_in in = { { h0, h1 }, { mode == 1 ? h0 : NULL, mode == 1 ? h1 : NULL }, mode == 2 ? fix : NULL };
+            orl_vis_in in = { { h0, h1 }, { mode == 1 ? h0 : NULL, mode == 1 ? h1 : NULL }, mode == 2 ? fix : NULL, cov };
             orl_vis_ref(&in, &t, 256, vis);
             for (int i = 0; i < 256; i++) {
                 double h = (i + (255 - 2 * i) * f / 256.0) / 255 * quarter, want = smoothstep(el, h);

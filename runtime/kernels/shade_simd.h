@@ -8,6 +8,16 @@ _Static_assert(ORL_KERNEL_STEP % LANES == 0, "no kernel has a tail");
 INLINE vec zero(void) { return set1(0); }
 INLINE vec share(vec v) { return add(shl(v, 7), shr(v, 1)); }
 
+/* The end of the run of ORL_KERNEL_STEP pixels from i on, if it has a surface; else zeros, and i. */
+INLINE int run_end(const uint8_t *cov, int i, int16_t *zeros)
+{
+    uint64_t run[ORL_KERNEL_STEP / 8], any = 0;
+    memcpy(run, cov + i, sizeof run);
+    for (size_t k = 0; k < sizeof run / sizeof *run; k++) any |= run[k];
+    if (!any) memset(zeros + i, 0, ORL_KERNEL_STEP * sizeof *zeros);
+    return any ? i + ORL_KERNEL_STEP : i;
+}
+
 /* ---- the sun */
 
 /* In 16 bits: what an edge above 65535 has over it is added to what 65535 has over h. */
@@ -30,7 +40,7 @@ INLINE vec lit(const uint8_t *const p[2], int i, const edge *e)
 void KERNEL(vis)(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis)
 {
     const edge over = edge_of(t->f, t->over), under = edge_of(t->f, t->under);
-    for (int i = 0; i < n; i += LANES) {
+    for (int run = 0; run < n; run += ORL_KERNEL_STEP) for (int i = run, end = run_end(in->cov, run, vis); i < end; i += LANES) {
         vec v = lit(in->horizon, i, &over);
         if (in->ceiling[0]) v = mul(v, lit(in->ceiling, i, &under));
         if (in->fix) v = max(adds(v, mullo(load_i8(in->fix + i), set1(258))), zero());
@@ -40,11 +50,11 @@ void KERNEL(vis)(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis
 
 /* ---- shadow features */
 
-void KERNEL(shadow)(const int8_t *const phi[2], const orl_shade_tab *t, int n, int16_t *s)
+void KERNEL(shadow)(const int8_t *const phi[2], const uint8_t *cov, const orl_shade_tab *t, int n, int16_t *s)
 {
     const table s0 = table_of(t->shadow[0]), s1 = table_of(t->shadow[1]), s2 = table_of(t->shadow[2]);
     const phi_weights w = phi_weights_of(t);
-    for (int i = 0; i < n; i += LANES) {
+    for (int run = 0; run < n; run += ORL_KERNEL_STEP) for (int i = run, end = run_end(cov, run, s); i < end; i += LANES) {
         vec x = phi_sum(phi[0] + ORL_PHI_GROUP * i, phi[1] + ORL_PHI_GROUP * i, &w), f = shl(and(x, set1(2047)), 4);
         picker at = picker_of(shr(x, 11));
         store(s + i, add(pick(s0, at), mul(f, add(pick(s1, at), mul(f, pick(s2, at))))));
@@ -53,29 +63,37 @@ void KERNEL(shadow)(const int8_t *const phi[2], const orl_shade_tab *t, int n, i
 
 /* ---- surface, sky, tone */
 
-/* E^(5/12), the channels' chains of products side by side. */
-INLINE void roots(const vec e[3], table factor, vec r[3])
+/* A chain of products takes longer than a CPU can look ahead over, so WIDE vectors go through every step side by side: `each` of them. */
+#define WIDE 2
+#define each(w) for (int w = 0; w < wide; w++)
+#define channels(c) for (int c = 0; c < 3; c++)
+
+/* E^(5/12). */
+INLINE void roots(int wide, vec e[WIDE][3], power_table factor)
 {
-    power p[3];
-    for (int c = 0; c < 3; c++) p[c] = power_of(e[c]);
-    for (int c = 0; c < 3; c++) r[c] = add(set1(ORL_POW_2), mul(p[c].rest, set1(ORL_POW_3)));
-    for (int c = 0; c < 3; c++) r[c] = add(set1(ORL_POW_1), mul(p[c].rest, r[c]));
-    for (int c = 0; c < 3; c++) r[c] = add(set1(ORL_POW_0), mul(p[c].rest, r[c]));
-    for (int c = 0; c < 3; c++) r[c] = mul(r[c], pick(factor, p[c].log));
+    power p[WIDE][3];
+    each(w) channels(c) p[w][c] = power_of(e[w][c]);
+    each(w) channels(c) e[w][c] = add(set1(ORL_POW_2), mul(p[w][c].rest, set1(ORL_POW_3)));
+    each(w) channels(c) e[w][c] = add(set1(ORL_POW_1), mul(p[w][c].rest, e[w][c]));
+    each(w) channels(c) e[w][c] = add(set1(ORL_POW_0), mul(p[w][c].rest, e[w][c]));
+    each(w) channels(c) e[w][c] = mul(e[w][c], pick_power(factor, p[w][c]));
 }
 
-INLINE vec encode(vec u)
+INLINE void encode(int wide, vec u[WIDE][3])
 {
-    vec w = shl(min(u, set1(ORL_TOE)), 5);
-    return max(sub(u, set1(ORL_TOE_LINE)), mul(mul(w, w), add(set1(ORL_TOE_2), mul(w, set1(ORL_TOE_3)))));
+    vec toe[WIDE][3], t[WIDE][3];
+    each(w) channels(c) t[w][c] = shl(min(u[w][c], set1(ORL_TOE)), 5);
+    each(w) channels(c) toe[w][c] = add(set1(ORL_TOE_2), mul(t[w][c], set1(ORL_TOE_3)));
+    each(w) channels(c) t[w][c] = mul(t[w][c], t[w][c]);
+    each(w) channels(c) u[w][c] = max(sub(u[w][c], set1(ORL_TOE_LINE)), mul(t[w][c], toe[w][c]));
 }
 
 /* A light's table in vectors: out of it, the compiler would fetch every entry again for every vector, since pixels that are written might be the table. */
-typedef struct { vec sun_dir[3], sun[3], sky[3][ORL_SKY_TERMS], ground[3][2], no_shadow, gain, most, tone[3][3], tone_b[3]; table factor; int gain_shift, tone_shift; } constants;
+typedef struct { vec sun_dir[3], sun[3], sky[3][ORL_SKY_TERMS], ground[3][2], no_shadow, gain, most, tone[3][3], tone_b[3]; power_table factor; int gain_shift, tone_shift; } constants;
 
 INLINE void constants_of(const orl_shade_tab *t, constants *k)
 {
-    for (int c = 0; c < 3; c++) {
+    channels(c) {
         k->sun_dir[c] = set1(t->sun_dir[c]);
         k->sun[c] = set1(t->sun[c]);
         k->tone_b[c] = set1(t->tone_b[c]);
@@ -88,26 +106,29 @@ INLINE void constants_of(const orl_shade_tab *t, constants *k)
     k->gain_shift = t->gain_shift;
     k->tone_shift = t->tone_shift;
     k->most = set1(ORL_U_MAX >> t->gain_shift);
-    k->factor = table_of(orl_power_factor);
+    k->factor = power_table_of(orl_power_factor);
 }
 
-INLINE void surface(const orl_shade_in *in, const constants *t, int i, vec e[3])
+INLINE void surface(int wide, const orl_shade_in *in, const constants *t, int i, vec e[WIDE][3])
 {
-    vec x = load_high(in->normal[0] + i), y = load_high(in->normal[1] + i), z = load_high(in->normal[2] + i);
-    vec s = in->s ? load(in->s + i) : t->no_shadow, open = shl(load_u8(in->open + i), 7);
-    vec sun = add(add(mul(x, t->sun_dir[0]), mul(y, t->sun_dir[1])), mul(z, t->sun_dir[2]));
-    const vec term[ORL_SKY_TERMS - 1] = { x, y, z, mul(x, y), mul(y, z), mul(z, x), sub(mul(x, x), mul(y, y)), mul(z, z) };
-    sun = mul(max(sun, zero()), load(in->vis + i));
-    vec E[3], u[3];
-    for (int c = 0; c < 3; c++) {
-        vec sky = t->sky[c][0];
-        for (int k = 1; k < ORL_SKY_TERMS; k++) sky = add(sky, mul(t->sky[c][k], term[k - 1]));
-        E[c] = max(add(add(mul(t->sun[c], sun), mul(max(sky, zero()), open)), sub(t->ground[c][0], mul(t->ground[c][1], z))), set1(2));
+    vec term[WIDE][ORL_SKY_TERMS - 1], sun[WIDE], open[WIDE], s[WIDE];
+    each(w) {
+        int at = i + w * LANES;
+        vec *n = term[w], x = load_high(in->normal[0] + at), y = load_high(in->normal[1] + at), z = load_high(in->normal[2] + at);
+        n[0] = x, n[1] = y, n[2] = z, n[3] = mul(x, y), n[4] = mul(y, z), n[5] = mul(z, x), n[6] = sub(mul(x, x), mul(y, y)), n[7] = mul(z, z);
+        sun[w] = mul(max(add(add(mul(x, t->sun_dir[0]), mul(y, t->sun_dir[1])), mul(z, t->sun_dir[2])), zero()), load(in->vis + at));
+        s[w] = mul(in->s ? load(in->s + at) : t->no_shadow, t->gain);
+        open[w] = load_part(in->open + at);
     }
-    roots(E, t->factor, u);
-    for (int c = 0; c < 3; c++) u[c] = min(mul(mul(mul(shl(load_u8(in->albedo[c] + i), 7), s), u[c]), t->gain), t->most);
-    if (t->gain_shift) for (int c = 0; c < 3; c++) u[c] = shl_by(u[c], t->gain_shift);        /* a dazzling light, and rare */
-    for (int c = 0; c < 3; c++) e[c] = encode(u[c]);
+    channels(c) each(w) {
+        vec sky = t->sky[c][0];
+        for (int k = 1; k < ORL_SKY_TERMS; k++) sky = add(sky, mul(t->sky[c][k], term[w][k - 1]));
+        e[w][c] = max(add(add(mul(t->sun[c], sun[w]), part(open[w], max(sky, zero()))), sub(t->ground[c][0], mul(t->ground[c][1], term[w][2]))), set1(2));
+    }
+    roots(wide, e, t->factor);
+    each(w) channels(c) e[w][c] = min(mul(part(load_part(in->albedo[c] + i + w * LANES), s[w]), e[w][c]), t->most);
+    if (t->gain_shift) each(w) channels(c) e[w][c] = shl_by(e[w][c], t->gain_shift);       /* a dazzling light, and rare */
+    encode(wide, e);
 }
 
 /* Between two nodes, the first of which is that of column x. */
@@ -117,30 +138,44 @@ INLINE vec between(const int16_t *node, int x, int log2, vec ramp)
     return add(a, mul(sub(nodes(node + 1, x, log2), a), ramp));
 }
 
+INLINE void shade_vectors(int wide, const orl_shade_in *in, const constants *k, int i, uint8_t *rgb)
+{
+    const int mask = (1 << in->sky_log2) - 1;
+    vec p[WIDE][3], out[WIDE][3], cov[WIDE], least = set1(255), most = zero();
+    each(w) {
+        cov[w] = load_u8(in->cov + i + w * LANES);
+        least = min(least, cov[w]);
+        most = max(most, cov[w]);
+        channels(c) p[w][c] = zero();
+    }
+    const int some = any(most), full = all_255(least);
+    if (some) surface(wide, in, k, i, p);
+    if (!full) each(w) {
+        int x = in->x + i + w * LANES;
+        vec ramp = shl_by(and(add(set1(x & mask), lanes()), set1(mask)), 15 - in->sky_log2);
+        channels(c) {
+            vec y = between(in->sky[c], x, in->sky_log2, ramp);
+            p[w][c] = some ? where_255(cov[w], p[w][c], add(y, mul(sub(p[w][c], y), share(cov[w])))) : y;
+        }
+    }
+    each(w) channels(c) {
+        vec v = k->tone_b[c];
+        for (int q = 0; q < 3; q++) v = add(v, mul(k->tone[c][q], p[w][q]));
+        out[w][c] = sar_by(v, k->tone_shift);
+    }
+    each(w) store_rgb(rgb + 3 * w * LANES, out[w]);
+}
+
 void KERNEL(shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb)
 {
     constants k;
     constants_of(t, &k);
-    const int mask = (1 << in->sky_log2) - 1;
-    for (int i = 0; i < n; i += LANES, rgb += 3 * LANES) {
-        vec p[3] = { zero(), zero(), zero() }, out[3], cov = load_u8(in->cov + i);
-        const int some = any(cov), full = all_255(cov);
-        if (some) surface(in, &k, i, p);
-        if (!full) {
-            int x = in->x + i;
-            vec ramp = shl_by(and(add(set1(x & mask), lanes()), set1(mask)), 15 - in->sky_log2);
-            for (int c = 0; c < 3; c++) {
-                vec y = between(in->sky[c], x, in->sky_log2, ramp);
-                p[c] = some ? where_255(cov, p[c], add(y, mul(sub(p[c], y), share(cov)))) : y;
-            }
-        }
-        for (int c = 0; c < 3; c++) {
-            vec v = k.tone_b[c];
-            for (int i = 0; i < 3; i++) v = add(v, mul(k.tone[c][i], p[i]));
-            out[c] = sar_by(v, k.tone_shift);
-        }
-        store_rgb(rgb, out);
+    int i = 0;
+    for (; i + WIDE * LANES <= n; i += WIDE * LANES) {
+        if (i % 64 == 0) for (int q = 0; q < in->aheads; q++) __builtin_prefetch(in->ahead[q].at + i * in->ahead[q].step);
+        shade_vectors(WIDE, in, &k, i, rgb + 3 * i);
     }
+    for (; i < n; i += LANES) shade_vectors(1, in, &k, i, rgb + 3 * i);
 }
 
 /* ---- the photo */

@@ -21,6 +21,7 @@ INLINE vec load(const int16_t *p) { return vld1q_s16(p); }
 INLINE vec load_u8(const uint8_t *p) { return S(vmovl_u8(vld1_u8(p))); }
 INLINE vec load_i8(const int8_t *p) { return vmovl_s8(vld1_s8(p)); }
 INLINE vec load_high(const int8_t *p) { return vshll_n_s8(vld1_s8(p), 8); }             /* times 256 */
+INLINE vec load_part(const uint8_t *p) { return S(vshll_n_u8(vld1_u8(p), 7)); }
 INLINE void store(int16_t *p, vec v) { vst1q_s16(p, v); }
 
 INLINE vec add(vec a, vec b) { return vaddq_s16(a, b); }
@@ -29,6 +30,7 @@ INLINE vec adds(vec a, vec b) { return vqaddq_s16(a, b); }
 INLINE vec addu(vec a, vec b) { return S(vqaddq_u16(U(a), U(b))); }
 INLINE vec subu(vec a, vec b) { return S(vqsubq_u16(U(a), U(b))); }
 INLINE vec mul(vec a, vec b) { return vqrdmulhq_s16(a, b); }
+INLINE vec part(vec v, vec b) { return vqdmulhq_s16(v, b); }                            /* v by load_part, b not negative */
 INLINE vec mullo(vec a, vec b) { return vmulq_s16(a, b); }
 INLINE vec min(vec a, vec b) { return vminq_s16(a, b); }
 INLINE vec max(vec a, vec b) { return vmaxq_s16(a, b); }
@@ -50,13 +52,21 @@ INLINE table table_of(const int16_t t[16]) { return (table){ { vld1q_u8((const u
 INLINE picker picker_of(vec i) { return vreinterpretq_u8_s16(vmlaq_n_s16(set1(0x0100), i, 0x0202)); }
 INLINE vec pick(table t, picker at) { return vreinterpretq_s16_u8(vqtbl2q_u8(t, at)); }
 
-/* floor(log2) - 1 of 2 .. 32767, and what is below the leading bit. */
-typedef struct { picker log; vec rest; } power;
+/* Of 2 .. 32767: what a table holds for its log2, and what is below the leading bit, less 2^15. */
+typedef table power_table;
+typedef struct { vec zeros, rest; } power;
+INLINE power_table power_table_of(const int16_t t[16])
+{
+    int16_t by_zeros[16] = { 0 };
+    for (int log = 1; log < 15; log++) by_zeros[15 - log] = t[log - 1];
+    return table_of(by_zeros);
+}
 INLINE power power_of(vec v)
 {
     vec zeros = vclzq_s16(v);                                                           /* 15 - log */
-    return (power){ picker_of(vsubq_s16(set1(14), zeros)), veorq_s16(vshlq_s16(vaddq_s16(v, v), zeros), set1(-32768)) };
+    return (power){ zeros, vshlq_s16(v, zeros) };
 }
+INLINE vec pick_power(power_table t, power p) { return pick(t, picker_of(p.zeros)); }
 
 /* The node of LANES columns from x on. */
 INLINE vec nodes(const int16_t *p, int x, int log2) { return vld1q_dup_s16(p + (x >> log2)); }
