@@ -132,10 +132,10 @@ static void test_warp_is_a_mean(void **state)
     for (int y = 0; y < 4; y++) for (int x = 0; x < 4; x++) for (int c = 0; c < 3; c++) photo[y][x][c] = (uint8_t)(60 * x + 7 * y + 3 * c);
     const int f = 64, share[3] = { 192 * 32767 / 640, 256 * 32767 / 640, 32767 - 192 * 32767 / 640 - 256 * 32767 / 640 };      /* of a box from 0.25 to 2.75 */
     for (int k = 0; k < 3; k++) {
-        row[f * ORL_WARP_ROWS + k] = (int16_t)share[k];
+        row[f * ORL_WARP_ROWS + k] = (int16_t)(k == 1 ? 102 : 77);
         for (int c = 0; c < 3; c++) column[f * 16 + 3 * k + c] = (int16_t)share[k];
     }
-    orl_warp_ref(&(orl_warp_in){ photo[0][0], 12, sizeof photo, (const int32_t[][2]){ { 256 + f, f } }, 4, 1, 0, column, row }, 1, rgb);
+    orl_warp_ref(&(orl_warp_in){ photo[0][0], 12, sizeof photo, &(orl_warp_at){ 3, f, f, 0 }, 4, 1, 0, column, row }, 1, rgb);
     for (int c = 0; c < 3; c++) assert_int_equal(rgb[c], (int)((192 * 67 + 256 * 127 + 192 * 187) / 640.0 - 7 + (192 * 0 + 256 * 7 + 192 * 14) / 640.0 + 3 * c + 0.5));
 }
 

@@ -20,7 +20,7 @@
  *           y = node_a + mul(node_b - node_a, ramp)                               Q13, sky, nodes clamped to [-0.5, 3.49]
  *           p = cov = 255: e, else y + mul(e - y, 128 cov + (cov >> 1))           Q13
  *           rgb = clamp((tone_b_c + mul(tone_c0, p_0) + mul(tone_c1, p_1) + mul(tone_c2, p_2)) >> tone_shift, 0, 255)     in this order
- *   warp    V_i = sum_j mul(128 photo_ij, row_j), rgb = min((sum_i mul(V_i, column_i) + 64) >> 7, 255)        mean of the photo over a box; shares Q15
+ *   warp    V_i = (sum_j photo_ij row_j) >> 1, rgb = min((sum_i mul(V_i, column_i) + 64) >> 7, 255)       mean of the photo over a box; rows' shares Q8, columns' Q15
  *   mix     l_k = node_a + mul(node_b - node_a, ramp)                             correction of layer k, Q5 levels
  *           r = clamp(render + ((l_0 + mul(l_1 - l_0, 128 layer + (layer >> 1)) + 16) >> 5), 0, 255)
  *           m = photo weight + r (255 - weight) + 128, rgb = (m + (m >> 8)) >> 8  the quotient by 255, rounded: exact
@@ -87,13 +87,15 @@ typedef struct {
     const uint8_t *photo;           /* [n][3] */
 } orl_mix_in;
 
+typedef struct { uint32_t from; uint8_t u, v; uint16_t unused; } orl_warp_at;      /* where a box's first pixel stands in the photo, bytes; the corner's fractions of it, Q8 */
+
 typedef struct {
     const uint8_t *photo;           /* rows of `stride` bytes, `bytes` in all */
     size_t stride, bytes;
-    const int32_t (*at)[2];         /* [n] corner u, v of each pixel's box, Q8; the box is inside the photo */
+    const orl_warp_at *at;          /* [n]; boxes are inside the photo */
     int rows, parts, narrow;        /* of a box; ORL_WARP_PART columns a part; 1: two rows and two columns at most */
     const int16_t *column;          /* [256][parts][16] by the corner's fraction: shares of the columns from its pixel on, three times over (R, G, B), the 16th 0; a box's sum to 32767, and are 0 beyond it */
-    const int16_t *row;             /* [256][ORL_WARP_ROWS] likewise */
+    const int16_t *row;             /* [256][ORL_WARP_ROWS] likewise, to 256 */
 } orl_warp_in;
 
 typedef struct {

@@ -95,16 +95,16 @@ void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_
 void orl_warp_ref(const orl_warp_in *in, int n, uint8_t *rgb)
 {
     for (int i = 0; i < n; i++, rgb += 3) {
-        int u = in->at[i][0], v = in->at[i][1];
-        const int16_t *column = in->column + (u & 255) * in->parts * 16, *row = in->row + (v & 255) * ORL_WARP_ROWS;
-        const uint8_t *p = in->photo + (size_t)(v >> 8) * in->stride + 3 * (size_t)(u >> 8);
+        const orl_warp_at at = in->at[i];
+        const int16_t *column = in->column + at.u * in->parts * 16, *row = in->row + at.v * ORL_WARP_ROWS;
+        const uint8_t *p = in->photo + at.from;
         int sum[3] = { 64, 64, 64 };
         for (int k = 0; k < (in->narrow ? 2 : in->parts * ORL_WARP_PART); k++) {
             const int16_t share = column[k / ORL_WARP_PART * 16 + k % ORL_WARP_PART * 3];
             for (int c = 0; share && c < 3; c++) {          /* no share: maybe beyond the photo */
                 int V = 0;
-                for (int j = 0; j < in->rows && row[j]; j++) V += mul(128 * p[(size_t)j * in->stride + (size_t)(3 * k + c)], row[j]);
-                sum[c] += mul(V, share);
+                for (int j = 0; j < in->rows && row[j]; j++) V += p[(size_t)j * in->stride + (size_t)(3 * k + c)] * row[j];
+                sum[c] += mul(V >> 1, share);
             }
         }
         for (int c = 0; c < 3; c++) rgb[c] = (uint8_t)clamp(sum[c] >> 7, 0, 255);

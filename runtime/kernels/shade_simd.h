@@ -65,7 +65,7 @@ void KERNEL(shadow)(const int8_t *const phi[2], const uint8_t *cov, const orl_sh
 
 /* A chain of products takes longer than a CPU can look ahead over, so WIDE vectors go through every step side by side: `each` of them. */
 #define WIDE 2
-#define each(w) for (int w = 0; w < wide; w++)
+#define each(q) for (int q = 0; q < wide; q++)
 #define channels(c) for (int c = 0; c < 3; c++)
 
 /* E^(5/12). */
@@ -183,59 +183,78 @@ void KERNEL(shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_
 /* 16 bytes of each row at a time: five pixels in words, first summed down, then along. */
 INLINE half warp_part(const orl_warp_in *in, const uint8_t *p, const int16_t *row, int rows, int narrow, const int16_t *column)
 {
-    half lo = half_set1(0), hi = lo;
-    for (int j = 0; j < rows; j++, p += in->stride) {
-        half w = half_set1(row[j]);
-        lo = half_add(lo, half_mul(half_pixels(p), w));
-        if (!narrow) hi = half_add(hi, half_mul(half_pixels(p + 8), w));
+    if (narrow) {
+        half v = half_add(half_mullo(half_pixels(p), half_set1(row[0])), half_mullo(half_pixels(p + in->stride), half_set1(row[1])));
+        v = half_mul(half_shr(v, 1), half_load(column));
+        return half_add(v, half_down(v, 3));
     }
-    lo = half_mul(lo, half_load(column));                           /* R0 G0 B0 R1 G1 B1 R2 G2 */
-    half sum = half_add(lo, half_down(lo, 3));
-    if (narrow) return sum;
-    hi = half_mul(hi, half_load(column + 8));                       /* B2 R3 G3 B3 R4 G4 B4 0 */
-    return half_add(sum, half_add(half_add(half_down(lo, 6), half_up(hi, 2)), half_add(half_down(hi, 1), half_down(hi, 4))));
+    pair v = pair_set1(0);
+    for (int j = 0; j < rows; j++, p += in->stride) v = pair_add(v, pair_mullo(pair_pixels(p), pair_set1(row[j])));
+    v = pair_mul(pair_shr(v, 1), pair_load(column));
+    half lo = pair_low(v), hi = pair_high(v);                       /* R0 G0 B0 R1 G1 B1 R2 G2, B2 R3 G3 B3 R4 G4 B4 0 */
+    return half_add(half_add(half_add(lo, half_down(lo, 3)), half_add(half_down(lo, 6), half_up(hi, 2))), half_add(half_down(hi, 1), half_down(hi, 4)));
 }
 
-INLINE void warp_pixel(const orl_warp_in *in, int i, int narrow, uint8_t *rgb, int last)
+INLINE void warp_pixel(const orl_warp_in *in, int64_t safe, int i, int narrow, uint8_t *rgb, int last)
 {
-    int u = in->at[i][0], v = in->at[i][1], rows = narrow ? 2 : in->rows;
-    const int16_t *column = in->column + (u & 255) * in->parts * 16, *row = in->row + (v & 255) * ORL_WARP_ROWS;
-    size_t at = (size_t)(v >> 8) * in->stride + 3 * (size_t)(u >> 8);
+    const orl_warp_at at = in->at[i];
+    const int16_t *column = in->column + (narrow ? at.u * 16 : at.u * in->parts * 16), *row = in->row + at.v * ORL_WARP_ROWS;
+    const uint8_t *from = in->photo + at.from;
     half sum = half_set1(64);
-    if (at + (size_t)(rows - 1) * in->stride + (narrow ? 8 : 3 * ORL_WARP_PART * (size_t)in->parts + 1) > in->bytes) {      /* vectors would read on beyond the photo's end */
+    if (at.from > safe) {                   /* vectors would read on beyond the photo's end */
         orl_warp_in one = *in;
         one.at += i;
         orl_warp_ref(&one, 1, rgb);
         return;
     }
-    if (narrow) sum = half_add(sum, warp_part(in, in->photo + at, row, 2, 1, column));
-    else for (int k = 0; k < in->parts; k++) sum = half_add(sum, warp_part(in, in->photo + at + 3 * ORL_WARP_PART * k, row, rows, 0, column + 16 * k));
+    if (narrow) sum = half_add(sum, warp_part(in, from, row, 2, 1, column));
+    else for (int k = 0; k < in->parts; k++) sum = half_add(sum, warp_part(in, from + 3 * ORL_WARP_PART * k, row, in->rows, 0, column + 16 * k));
     half_store_rgb(rgb, sum, last);
 }
 
 void KERNEL(warp)(const orl_warp_in *in, int n, uint8_t *rgb)
 {
-    if (in->narrow) for (int i = 0; i < n; i++) warp_pixel(in, i, 1, rgb + 3 * i, i == n - 1);
-    else for (int i = 0; i < n; i++) warp_pixel(in, i, 0, rgb + 3 * i, i == n - 1);
+    const orl_warp_in own = *in;        /* which no pixel that is written can be */
+    const int64_t safe = (int64_t)own.bytes - (int64_t)own.stride * ((own.narrow ? 2 : own.rows) - 1) - (own.narrow ? 8 : 3 * ORL_WARP_PART * own.parts + 1);
+    int i = 0;
+    if (own.narrow) for (; i < n - 1; i++) warp_pixel(&own, safe, i, 1, rgb + 3 * i, 0);
+    else for (; i < n - 1; i++) warp_pixel(&own, safe, i, 0, rgb + 3 * i, 0);
+    if (i < n) warp_pixel(&own, safe, i, own.narrow, rgb + 3 * i, 1);
+}
+
+INLINE void mix_vectors(int wide, const orl_mix_in *in, int i, uint8_t *rgb)
+{
+    const int mask = (1 << in->log2) - 1;
+    vec ramp[WIDE], layer[WIDE], w[WIDE], r[WIDE][3], photo[WIDE][3], most = zero();
+    int x[WIDE];
+    each(q) {
+        int at = i + q * LANES;
+        x[q] = in->x + at + (mask + 1) / 2;
+        vec column = and(add(set1(x[q] & mask), lanes()), set1(mask));
+        ramp[q] = shl_by(add(add(column, column), set1(1)), 14 - in->log2);
+        layer[q] = share(load_u8(in->layer + at));
+        w[q] = load_u8(in->weight + at);
+        most = max(most, w[q]);
+        load_rgb(rgb + 3 * q * LANES, r[q]);
+    }
+    channels(c) each(q) {
+        vec sky = between(in->node[c][0], x[q], in->log2, ramp[q]), stone = between(in->node[c][1], x[q], in->log2, ramp[q]), l = add(sky, mul(sub(stone, sky), layer[q]));
+        r[q][c] = max(min(add(r[q][c], sar_by(add(l, set1(16)), 5)), set1(255)), zero());
+    }
+    if (any(most)) each(q) {
+        load_rgb(in->photo + 3 * (i + q * LANES), photo[q]);
+        channels(c) {
+            vec m = add(add(mullo(photo[q][c], w[q]), mullo(r[q][c], sub(set1(255), w[q]))), set1(128));
+            r[q][c] = shr(add(m, shr(m, 8)), 8);
+        }
+    }
+    each(q) store_rgb(rgb + 3 * q * LANES, r[q]);
 }
 
 void KERNEL(mix)(const orl_mix_in *in, int n, uint8_t *rgb)
 {
-    const int mask = (1 << in->log2) - 1;
-    for (int i = 0; i < n; i += LANES, rgb += 3 * LANES) {
-        int x = in->x + i + (mask + 1) / 2;
-        vec at = and(add(set1(x & mask), lanes()), set1(mask)), ramp = shl_by(add(add(at, at), set1(1)), 14 - in->log2);
-        vec layer = share(load_u8(in->layer + i)), w = load_u8(in->weight + i), rest = sub(set1(255), w), r[3], photo[3];
-        const int covered = any(w);
-        load_rgb(rgb, r);
-        if (covered) load_rgb(in->photo + 3 * i, photo);
-        for (int c = 0; c < 3; c++) {
-            vec sky = between(in->node[c][0], x, in->log2, ramp), stone = between(in->node[c][1], x, in->log2, ramp), l = add(sky, mul(sub(stone, sky), layer));
-            r[c] = max(min(add(r[c], sar_by(add(l, set1(16)), 5)), set1(255)), zero());
-            if (!covered) continue;
-            vec m = add(add(mullo(photo[c], w), mullo(r[c], rest)), set1(128));
-            r[c] = shr(add(m, shr(m, 8)), 8);
-        }
-        store_rgb(rgb, r);
-    }
+    const orl_mix_in own = *in;         /* which no pixel that is written can be */
+    int i = 0;
+    for (; i + WIDE * LANES <= n; i += WIDE * LANES) mix_vectors(WIDE, &own, i, rgb + 3 * i);
+    for (; i < n; i += LANES) mix_vectors(1, &own, i, rgb + 3 * i);
 }

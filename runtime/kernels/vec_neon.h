@@ -123,13 +123,28 @@ typedef vec half;
 #define half_load load
 #define half_add add
 #define half_mul mul
-INLINE half half_pixels(const uint8_t *p) { return S(vshll_n_u8(vld1_u8(p), 7)); }
+#define half_mullo mullo
+#define half_shr shr
+#define half_pixels load_u8
 #define half_down(v, n) vextq_s16(v, vdupq_n_s16(0), n)
 #define half_up(v, n) vextq_s16(vdupq_n_s16(0), v, 8 - (n))
+
+typedef int16x8x2_t pair;
+INLINE pair pair_set1(int v) { return (pair){ { set1(v), set1(v) } }; }
+INLINE pair pair_load(const int16_t *p) { return (pair){ { load(p), load(p + 8) } }; }
+INLINE pair pair_pixels(const uint8_t *p) { return (pair){ { load_u8(p), load_u8(p + 8) } }; }
+INLINE pair pair_add(pair a, pair b) { return (pair){ { add(a.val[0], b.val[0]), add(a.val[1], b.val[1]) } }; }
+INLINE pair pair_mul(pair a, pair b) { return (pair){ { mul(a.val[0], b.val[0]), mul(a.val[1], b.val[1]) } }; }
+INLINE pair pair_mullo(pair a, pair b) { return (pair){ { mullo(a.val[0], b.val[0]), mullo(a.val[1], b.val[1]) } }; }
+#define pair_shr(v, n) ((pair){ { shr((v).val[0], n), shr((v).val[1], n) } })
+INLINE half pair_low(pair v) { return v.val[0]; }
+INLINE half pair_high(pair v) { return v.val[1]; }
+
 INLINE void half_store_rgb(uint8_t *p, half v, int last)           /* v >> 7; but for the last, a byte more */
 {
     uint32_t rgb = vget_lane_u32(vreinterpret_u32_u8(vqshrn_n_u16(U(v), 7)), 0);
-    memcpy(p, &rgb, last ? 3 : 4);
+    if (last) memcpy(p, &rgb, 3);
+    else memcpy(p, &rgb, 4);
 }
 
 INLINE void load_rgb(const uint8_t *p, vec c[3])
