@@ -24,7 +24,7 @@ typedef struct {
     int failed;
 } coder;
 
-enum { RATE_FAST = 4, RATE_SLOW = 7, PROB_LEAST = 24, RANGE_LEAST = 1 << 24 };
+enum { RATE_FAST = 4, RATE_SLOW = 7, RANGE_LEAST = 1 << 24 };
 
 static void prob_reset(prob *p, size_t n) { for (size_t i = 0; i < n; i++) p[i] = (prob){ 1 << 15, 1 << 15 }; }
 
@@ -75,9 +75,7 @@ static int read_ended(const coder *c) { return c->in == c->end && !c->over; }
 /* One bit under p; `writing` is a constant where it is inlined. */
 static inline __attribute__((always_inline)) int code_bit(coder *c, prob *p, int bit, const int writing)
 {
-    uint32_t one = (uint32_t)(p->fast + p->slow) >> 2;
-    one = one < PROB_LEAST ? PROB_LEAST : one > (1 << 15) - PROB_LEAST ? (1 << 15) - PROB_LEAST : one;
-    uint32_t bound = (c->range >> 15) * one;
+    uint32_t bound = (c->range >> 15) * ((uint32_t)(p->fast + p->slow) >> 2);       /* never 0, nor all: slow stays within 127 .. 65408 */
     if (!writing) bit = c->code < bound;
     if (bit) {
         c->range = bound;
@@ -247,12 +245,12 @@ static const struct {
     [ORL_PACK_BACK] = { { ORL_BACK_COLS, ORL_BACK_ROWS, 1 }, 32, 4, 0, 3, 2, 2, 1, { 3, 1, 0, 2 } },
 };
 
-/* A vertex in the order of the walk. Offsets in vertices; of the coarsest level 0 where the lattice ends. */
+/* A vertex in the order of the walk. Offsets in values; of the coarsest level 0 where the lattice ends. */
 typedef struct {
     uint16_t at;
     uint8_t level, axes, befores;
-    int16_t back[3], ahead[3];      /* along the axes that it is between two vertices of: the vertices; the one behind twice where there is none ahead */
-    int16_t before[3];              /* of its level, coded before it */
+    int32_t back[3], ahead[3];      /* along the axes that it is between two vertices of: the vertices; the one behind twice where there is none ahead */
+    int32_t before[3];              /* of its level, coded before it */
 } visit;
 
 typedef struct {
@@ -268,11 +266,11 @@ static int block_nodes(int kind) { return KINDS[kind].side[0] * KINDS[kind].side
 static void plan(lattice *l)
 {
     const uint16_t *side = KINDS[l->kind].side;
-    int level = 0, n = 0, stride[3] = { 1, side[0], side[0] * side[1] };
+    int level = 0, n = 0, C = l->channels, stride[3] = { C, C * side[0], C * side[0] * side[1] };
     for (int s = KINDS[l->kind].top; s; s >>= 1, level++)
         for (int odd = level ? 1 : 0; odd <= (level ? 3 : 0); odd++)
             for (int at = 0; at < l->nodes; at++) {
-                int x[3] = { at % side[0], at / side[0] % side[1], at / stride[2] }, between = 0, on = 1;
+                int x[3] = { at % side[0], at / side[0] % side[1], at / side[0] / side[1] }, between = 0, on = 1;
                 for (int a = 0; a < 3; a++) {
                     on &= x[a] % s == 0;
                     between += level && x[a] / s & 1;
@@ -281,10 +279,10 @@ static void plan(lattice *l)
                 visit v = { .at = (uint16_t)at, .level = (uint8_t)level };
                 for (int a = 0; a < 3; a++) {
                     int d = s * stride[a], more = x[a] + s < side[a];
-                    if (level && x[a] >= 2 * s) v.before[v.befores++] = (int16_t)(-2 * d);
+                    if (level && x[a] >= 2 * s) v.before[v.befores++] = -2 * d;
                     if (level && !(x[a] / s & 1)) continue;
-                    v.back[v.axes] = (int16_t)(level || x[a] ? -d : 0);
-                    v.ahead[v.axes++] = (int16_t)(more ? d : level ? -d : 0);
+                    v.back[v.axes] = level || x[a] ? -d : 0;
+                    v.ahead[v.axes++] = more ? d : level ? -d : 0;
                 }
                 l->walk[n++] = v;
             }
@@ -318,12 +316,12 @@ static inline __attribute__((always_inline)) int expected(const lattice *l, cons
     static const int SHARE[4] = { 0, 1 << 15, 1 << 14, 10923 };
     int sum = 0, n = 0;
     if (v->level) {
-        for (int a = 0; a < v->axes; a++) sum += (p[v->back[a] * C] ^ flip) + (p[v->ahead[a] * C] ^ flip);
+        for (int a = 0; a < v->axes; a++) sum += (p[v->back[a]] ^ flip) + (p[v->ahead[a]] ^ flip);
         return (sum * SHARE[v->axes] + (1 << 15)) >> 16;
     }
     for (int a = 0; a < 3; a++) {
-        if (v->back[a]) { sum += p[v->back[a] * C] ^ flip; n++; }
-        if (v->ahead[a] && l->known[v->at + v->ahead[a]]) { sum += p[v->ahead[a] * C] ^ flip; n++; }
+        if (v->back[a]) { sum += p[v->back[a]] ^ flip; n++; }
+        if (v->ahead[a] && l->known[v->at + v->ahead[a] / C]) { sum += p[v->ahead[a]] ^ flip; n++; }
     }
     return n ? (2 * sum + n) / (2 * n) : 128;
 }
@@ -366,8 +364,8 @@ static inline __attribute__((always_inline)) void code_block(lattice *l, coder *
                 beside = off < 16 ? 0 : off < 48 ? 1 : off < 96 ? 2 : 3;
             }
             if (v->level) {
-                for (int a = 0; a < v->axes; a++) around += m[v->back[a] * C] + (v->ahead[a] == v->back[a] ? 0 : m[v->ahead[a] * C]);
-                for (int a = 0; a < v->befores; a++) around += 2 * m[v->before[a] * C];
+                for (int a = 0; a < v->axes; a++) around += m[v->back[a]] + (v->ahead[a] == v->back[a] ? 0 : m[v->ahead[a]]);
+                for (int a = 0; a < v->befores; a++) around += 2 * m[v->before[a]];
                 around = around < AROUND ? around : AROUND - 1;
             }
             if (led) beside = before;
@@ -457,7 +455,7 @@ orl_err pack_values(int kind, const orl_scene *s, const void *values, const uint
     orl_err e = out ? lattice_make(&l, kind, &s->step[kind]) : orl_fail(ORL_E_MEMORY, "no memory to pack a scene");
     if (!e) {
         write_start(&c);
-        for (int k = 0; k < PACK_HEAD; k++) put_byte(&c, (uint8_t)(k < 2 ? s->step[kind].step[k] + !s->step[kind].step[k] : k == 2 ? s->step[kind].far : 0));
+        for (int k = 0; k < PACK_HEAD; k++) put_byte(&c, (uint8_t)(k < 2 ? s->step[kind].step[k] + !s->step[kind].step[k] : k == 2 && kind == ORL_PACK_SDF ? s->step[kind].far : 0));
         code_blocks(&l, &c, s, out, values, used, 1);
         e = finish(&c, bytes, n);
         free(l.walk);
@@ -470,7 +468,7 @@ orl_err unpack_values(int kind, const orl_scene *s, const uint8_t *bytes, size_t
 {
     lattice l;
     coder c;
-    if (n < PACK_HEAD || !bytes[0] || !bytes[1] || memcmp(bytes + 3, (const uint8_t[PACK_HEAD - 3]){ 0 }, PACK_HEAD - 3)) return ORL_E_FORMAT;
+    if (n < PACK_HEAD || !bytes[0] || !bytes[1] || (bytes[2] && kind != ORL_PACK_SDF) || memcmp(bytes + 3, (const uint8_t[PACK_HEAD - 3]){ 0 }, PACK_HEAD - 3)) return ORL_E_FORMAT;
     *step = (orl_pack_step){ { bytes[0], bytes[1] }, bytes[2] };
     orl_err e = lattice_make(&l, kind, step);
     if (e) return e;

@@ -19,8 +19,8 @@
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, PMAP, PSKN, PSDF, PALB, PLIT, PSHD, GRND, PGRN, BACK, PBAK, FACE, SKYD, SKYG, PRIO, CODE, META, VPHO, VWID, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "PMAP", "PSKN", "PSDF", "PALB", "PLIT", "PSHD", "GRND", "PGRN", "BACK", "PBAK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "VPHO", "VWID" };
+enum { HEAD, PMAP, PSDF, PSKN, PALB, PLIT, PSHD, GRND, PGRN, BACK, PBAK, FACE, SKYD, SKYG, PRIO, CODE, META, VPHO, VWID, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "PMAP", "PSDF", "PSKN", "PALB", "PLIT", "PSHD", "GRND", "PGRN", "BACK", "PBAK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "VPHO", "VWID" };
 static const int PACKED_AS[ORL_PACKED] = { [ORL_PACK_SDF] = PSDF, [ORL_PACK_ALBEDO] = PALB, [ORL_PACK_LITE] = PLIT, [ORL_PACK_SHADOW] = PSHD, [ORL_PACK_GROUND] = PGRN, [ORL_PACK_BACK] = PBAK };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
@@ -187,7 +187,7 @@ static orl_err unpack(const layout *l, orl_scene *s, const char *name)
     for (int k = 0; k < ORL_PACKED; k++) j.to[k] = l->known[PACKED_AS[k]].at ? block + at[k] : NULL;
     orl_parallel(0, ORL_PACKED, 1, unpack_kinds, &j);
     for (int k = 0; k < ORL_PACKED; k++) {
-        if (j.e[k]) return orl_fail(j.e[k], j.e[k] == ORL_E_MEMORY ? "%s: section %s: no memory" : "%s: section %s: bad steps, or it does not end where its bytes do", name, tags[PACKED_AS[k]]);
+        if (j.e[k]) return orl_fail(j.e[k], j.e[k] == ORL_E_MEMORY ? "%s: section %s: no memory" : "%s: section %s: no steps, or it does not end where its bytes do", name, tags[PACKED_AS[k]]);
         s->step[k] = j.step[k];
     }
     s->sdf = (const int8_t *)j.to[ORL_PACK_SDF];

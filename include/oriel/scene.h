@@ -26,8 +26,8 @@ enum { ORL_BRICKS_MOST = 1 << 18 };
 /* What is packed by rounding, and how coarsely (SCENE.md 5.3): steps in units of the stored byte, 0 counting as 1, which loses nothing. */
 enum { ORL_PACK_SDF, ORL_PACK_ALBEDO, ORL_PACK_LITE, ORL_PACK_SHADOW, ORL_PACK_GROUND, ORL_PACK_BACK, ORL_PACKED };
 typedef struct {
-    uint8_t step[2];                /* of brightness (green), openness, opacity and green, all of the rest; and of red and blue, horizons */
-    uint8_t far;                    /* growth of the step over values' distance from the middle of their range, in 1/1024 of the step */
+    uint8_t step[2];                /* of distances, green, openness, shadow features, opacity; and of red and blue, horizons */
+    uint8_t far;                    /* of distances: the step grows by so many 1024ths of itself for each 1/32 cell from the surface */
 } orl_pack_step;
 
 typedef struct {
