@@ -229,8 +229,8 @@ orl_err unpack_index(const orl_scene *s, const uint8_t *map, size_t map_bytes, c
 
 enum { LEVELS = 7, AROUND = 8, BESIDE = 4, UNARY = 16, ESCAPE = 8, MAG = 3, ORDERED = 4, SHARED = 27 };
 
-/* Channels are coded in order; those from place `second` on have the second step and statistics; those from `led` on follow the one before them: it tells what to expect of them, and where `lead` is set they are
- * predicted to depart from their neighbours as it did. */
+/* Channels are coded in order. Those from place `second` on have the second step and probabilities; those from `led` on take the size and sign of the one before for a hint, and where `lead` is set they are expected
+ * to depart from their neighbours as it did. */
 static const struct {
     uint16_t side[3], top;          /* vertices along each axis; stride of the coarsest, a power of two */
     uint8_t channels, sign;         /* sign: 128 where values are int8, flips them into 0 .. 255 */
@@ -254,7 +254,7 @@ typedef struct {
 } visit;
 
 typedef struct {
-    prob zero[2][LEVELS][AROUND][BESIDE], sign[2][3], more[2][BESIDE][UNARY], escape[2][ESCAPE];
+    struct { prob zero[2][LEVELS][AROUND][BESIDE], sign[2][3], more[2][4][UNARY], escape[2][ESCAPE]; } p;
     int kind, nodes, channels, order[ORL_LITE_BYTES], step[LEVELS][2], far;
     visit *walk;                    /* [nodes] */
     uint8_t *known, *mag;           /* [nodes], [nodes][channels]: taken from a block before; size of what was coded, MAG at most */
@@ -300,10 +300,7 @@ static orl_err lattice_make(lattice *l, int kind, const orl_pack_step *step)
     for (int set = 0; set < 2; set++)
         for (int k = levels - 1, q = step->step[set] ? step->step[set] : 1; k >= 0; k--, q = q * KINDS[kind].finer >> 2) l->step[k][set] = q ? q : 1;
     for (int i = 0; i < channels; i++) l->order[i] = channels <= ORDERED ? KINDS[kind].order[i] : i;
-    prob_reset(l->zero[0][0][0], sizeof l->zero / sizeof(prob));
-    prob_reset(l->sign[0], sizeof l->sign / sizeof(prob));
-    prob_reset(l->more[0][0], sizeof l->more / sizeof(prob));
-    prob_reset(l->escape[0], sizeof l->escape / sizeof(prob));
+    prob_reset((prob *)&l->p, sizeof l->p / sizeof(prob));
     plan(l);
     return ORL_OK;
 }
@@ -331,12 +328,12 @@ static inline __attribute__((always_inline)) int code_steps(lattice *l, coder *c
 {
     int neg = steps < 0, mag = neg ? -steps : steps, n = 1;
     if (!code_bit(c, zero, mag > 0, writing)) return 0;
-    neg = code_bit(c, &l->sign[set][lead], neg, writing);
-    prob *more = l->more[set][around > 5 ? 3 : around > 2 ? 2 : around > 0];
+    neg = code_bit(c, &l->p.sign[set][lead], neg, writing);
+    prob *more = l->p.more[set][around > 5 ? 3 : around > 2 ? 2 : around > 0];
     while (n < UNARY && code_bit(c, &more[n - 1], mag > n, writing)) n++;
     if (n == UNARY) {
         int rest = mag - UNARY + 1, bits = 0, v = 1;
-        while (bits < ESCAPE && code_bit(c, &l->escape[set][bits], rest >> (bits + 1) > 0, writing)) bits++;
+        while (bits < ESCAPE && code_bit(c, &l->p.escape[set][bits], rest >> (bits + 1) > 0, writing)) bits++;
         while (bits--) v = v << 1 | even_bit(c, rest >> bits & 1, writing);
         n = UNARY + v - 1;
     }
@@ -374,7 +371,7 @@ static inline __attribute__((always_inline)) void code_block(lattice *l, coder *
                 steps = (8 * mag + 3 * q) / (8 * q);
                 if (off < 0) steps = -steps;
             }
-            steps = code_steps(l, c, &l->zero[set][v->level][around][beside], set, around, !led || !departs ? 0 : departs < 0 ? 1 : 2, steps, writing);
+            steps = code_steps(l, c, &l->p.zero[set][v->level][around][beside], set, around, !led || !departs ? 0 : departs < 0 ? 1 : 2, steps, writing);
             int value = clamp8(want + steps * q), size = steps < 0 ? -steps : steps;
             *m = (uint8_t)(size < MAG ? size : MAG);
             before = *m;

@@ -22,7 +22,7 @@ enum { ORL_GROUND_SIDE = 96, ORL_VIEWS = 2, ORL_CUTS = 16 };      /* CUTS: secti
 enum { ORL_BRICK = 8, ORL_BRICK_V = 9, ORL_BRICK_VERTS = 729, ORL_LITE_V = 3, ORL_LITE_VERTS = 27, ORL_LITE_BYTES = 17 };
 #define ORL_SDF_UNIT 32         /* sdf int8 is in 1/32 cell, saturating: -4 .. +3.97 cells; positive = free space */
 
-enum { ORL_BRICKS_MOST = 1 << 18 };
+enum { ORL_BRICKS_MOST = 1 << 20 };
 /* What is packed by rounding, and how coarsely (SCENE.md 5.3): steps in units of the stored byte, 0 counting as 1, which loses nothing. */
 enum { ORL_PACK_SDF, ORL_PACK_ALBEDO, ORL_PACK_LITE, ORL_PACK_SHADOW, ORL_PACK_GROUND, ORL_PACK_BACK, ORL_PACKED };
 typedef struct {
