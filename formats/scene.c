@@ -438,12 +438,13 @@ static orl_err pack(const char *path, const orl_scene *s, uint8_t *data[TAGS], s
     return e;
 }
 
-orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
+/* The file in memory, malloc'd. */
+static orl_err lay_out(const char *path, const orl_scene *s, uint8_t **out, size_t *n)
 {
     static const head_bytes head_zero;
     head_bytes head = head_zero;
-    uint8_t *packed[TAGS] = { NULL }, *file = NULL;
-    size_t packed_bytes[TAGS];
+    uint8_t *packed[TAGS] = { NULL }, *file;
+    size_t packed_bytes[TAGS] = { 0 };
     uint64_t total = 0;
     skyd_bytes skyd = { 0 };
     skyg_bytes skyg = { 0 };
@@ -511,15 +512,34 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     memset(file + at, 0, (size_t)(total - at));
     uint32_t crc = header_crc(file, count);
     memcpy(file + 24, &crc, 4);
+    *out = file;
+    *n = (size_t)total;
+done:
+    for (int t = 0; t < TAGS; t++) free(packed[t]);
+    return e;
+}
+
+orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
+{
+    uint8_t *file;
+    size_t n;
     orl_scene check;
-    e = orl_scene_parse(file, (size_t)total, path, &check);         /* never leave a file behind that cannot be read */
+    orl_err e = lay_out(path, s, &file, &n);
+    if (e) return e;
+    e = orl_scene_parse(file, n, path, &check);         /* never leave a file behind that cannot be read */
     if (!e) {
         orl_scene_close(&check);
-        e = orl_file_write(path, file, (size_t)total);
+        e = orl_file_write(path, file, n);
     }
-done:
     free(file);
-    for (int t = 0; t < TAGS; t++) free(packed[t]);
-    if (!e && bytes_out) *bytes_out = (size_t)total;
+    if (!e && bytes_out) *bytes_out = n;
+    return e;
+}
+
+orl_err orl_scene_size(const char *path, const orl_scene *s, size_t *bytes_out)
+{
+    uint8_t *file;
+    orl_err e = lay_out(path, s, &file, bytes_out);
+    if (!e) free(file);
     return e;
 }

@@ -206,7 +206,9 @@ static void test_smaller(void **state)
     uint8_t *none = calloc((size_t)s.ntextures * ORL_SKIN_TEXELS + (size_t)s.nbricks * 27, 1);
     assert_int_equal(orl_scene_write(at("a.oriel"), &s, &fine), ORL_OK);
     for (int i = 0; i < ORL_PACKED; i++) s.step[i] = (orl_pack_step){ { 6, 6 }, 0 };
-    assert_int_equal(orl_scene_write(at("a.oriel"), &s, &coarse), ORL_OK);
+    assert_int_equal(orl_scene_size("size", &s, &coarse), ORL_OK);
+    assert_int_equal(orl_scene_write(at("a.oriel"), &s, &less), ORL_OK);
+    assert_int_equal(less, coarse);
     s.texel_used = s.light_used = none;
     assert_int_equal(orl_scene_write(at("a.oriel"), &s, &less), ORL_OK);
     print_message("figure: %zu bytes of surface in a file of %zu, %zu by steps of 6, %zu with nothing in use\n", raw, fine, coarse, less);

@@ -60,13 +60,14 @@ static void backdrop_texels(const surface *surf, const stage2 *s2, uint8_t (*out
     }
 }
 
-static orl_err write_by(const char *path, orl_scene *sc, const uint8_t *q, size_t *bytes)
+/* Writes by these steps, or only tells the size. */
+static orl_err pack(const char *path, orl_scene *sc, const uint8_t *q, int write, size_t *bytes)
 {
     const orl_pack_step beyond = { { q[6], q[7] }, 0 }, step[ORL_PACKED] = { [ORL_PACK_SDF] = { { q[0], 1 }, q[1] }, [ORL_PACK_ALBEDO] = { { q[2], q[3] }, 0 }, [ORL_PACK_LITE] = { { q[4], q[4] }, 0 },
         [ORL_PACK_SHADOW] = { { q[5], 1 }, 0 }, [ORL_PACK_GROUND] = beyond, [ORL_PACK_BACK] = beyond };
     memcpy(sc->step, step, sizeof step);
     orl_err e = used_mark(sc);
-    if (!e) e = orl_scene_write(path, sc, bytes);
+    if (!e) e = write ? orl_scene_write(path, sc, bytes) : orl_scene_size(path, sc, bytes);
     used_free(sc);
     return e;
 }
@@ -74,14 +75,14 @@ static orl_err write_by(const char *path, orl_scene *sc, const uint8_t *q, size_
 /* By the finest steps with which the file is small enough; by the coarsest if there are none. */
 static orl_err write_within(const char *path, orl_scene *sc, size_t *bytes)
 {
-    size_t fine = 0, coarse = sizeof STEPS / sizeof *STEPS - 1, tried = SIZE_MAX;
+    size_t fine = 0, coarse = sizeof STEPS / sizeof *STEPS - 1, size;
     orl_err e = ORL_OK;
     while (!e && fine < coarse) {
-        tried = (fine + coarse) / 2;
-        e = write_by(path, sc, STEPS[tried], bytes);
-        if (*bytes > FILE_MOST) fine = tried + 1; else coarse = tried;
+        size_t k = (fine + coarse) / 2;
+        e = pack(path, sc, STEPS[k], 0, &size);
+        if (!e && size > FILE_MOST) fine = k + 1; else coarse = k;
     }
-    return !e && tried != fine ? write_by(path, sc, STEPS[fine], bytes) : e;
+    return e ? e : pack(path, sc, STEPS[fine], 1, bytes);
 }
 
 orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, const char *title, size_t *bytes)

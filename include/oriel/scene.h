@@ -68,6 +68,8 @@ orl_err orl_scene_parse(const void *bytes, size_t n, const char *name, orl_scene
 void orl_scene_close(orl_scene *s);
 /* Temporary file, fsync, rename. Vertices and texels that bricks share are those of the first that has them. write -> read -> write is byte-identical. */
 orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out);
+/* Bytes that it would take; path stands in messages. */
+orl_err orl_scene_size(const char *path, const orl_scene *s, size_t *bytes_out);
 /* Section list for `oriel info`. */
 typedef struct { char tag[5]; uint64_t offset, bytes; uint32_t crc; } orl_scene_section;
 orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, int *count);
