@@ -87,7 +87,7 @@ static inline __attribute__((always_inline)) int code_bit(coder *c, prob *p, int
         p->fast -= p->fast >> RATE_FAST;
         p->slow -= p->slow >> RATE_SLOW;
     }
-    while (c->range < RANGE_LEAST) {
+    while (__builtin_expect(c->range < RANGE_LEAST, 0)) {
         c->range <<= 8;
         if (writing) shift_low(c); else c->code = c->code << 8 | get_byte(c);
     }
@@ -327,7 +327,7 @@ static inline __attribute__((always_inline)) int expected(const lattice *l, cons
 static inline __attribute__((always_inline)) int code_steps(lattice *l, coder *c, prob *zero, int set, int around, int lead, int steps, const int writing)
 {
     int neg = steps < 0, mag = neg ? -steps : steps, n = 1;
-    if (!code_bit(c, zero, mag > 0, writing)) return 0;
+    if (__builtin_expect(!code_bit(c, zero, mag > 0, writing), 1)) return 0;
     neg = code_bit(c, &l->p.sign[set][lead], neg, writing);
     prob *more = l->p.more[set][around > 5 ? 3 : around > 2 ? 2 : around > 0];
     while (n < UNARY && code_bit(c, &more[n - 1], mag > n, writing)) n++;
