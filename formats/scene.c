@@ -1,7 +1,7 @@
 /* The scene file: SCENE.md in code (numbers in brackets cite it).
  *
- * Reading maps the file and points into it: parse() establishes that header, table and section sizes agree with the bytes that are there, validate() that what they hold is in range.
- * Only the light model is decoded into the struct. Writing lays the file out in memory, reads it back through the same two steps, and replaces the target atomically.
+ * Reading maps the file: parse() establishes that header, table and section sizes agree with the bytes that are there, unpack() gets the surface out of its packed sections (pack.c), validate() sees that what they
+ * hold is in range. The light model is decoded into the struct, all else is pointed to. Writing lays the file out in memory, reads it back through the same steps, and replaces the target atomically.
  * A file that another process shortens while it is mapped is not guarded against. */
 #include "oriel/scene.h"
 #include <fcntl.h>
@@ -10,24 +10,26 @@
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <unistd.h>
+#include "formats/pack.h"
 #include "oriel/image.h"
+#include "oriel/parallel.h"
 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "the scene is used in place: little-endian machines only"
 #endif
 
 enum { FACE_ONE = 32767, HEADER = 64, ENTRY = 32, MAX_SECTIONS = 32, VERSION = 1, EXP_MIN = -40, EXP_MAX = 15, MAX_CODES = 65536, TRI = ORL_CODE * (ORL_CODE + 1) / 2 };
-enum { HEAD, BMAP, SDF8, SKIN, ALBD, LITE, SHAD, GRND, BACK, FACE, SKYD, SKYG, PRIO, CODE, META, VPHO, VWID, TAGS };
-static const char tags[TAGS][5] = { "HEAD", "BMAP", "SDF8", "SKIN", "ALBD", "LITE", "SHAD", "GRND", "BACK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "VPHO", "VWID" };
+enum { HEAD, PMAP, PSDF, PSKN, PALB, PLIT, PSHD, GRND, PGRN, BACK, PBAK, FACE, SKYD, SKYG, PRIO, CODE, META, VPHO, VWID, TAGS };
+static const char tags[TAGS][5] = { "HEAD", "PMAP", "PSDF", "PSKN", "PALB", "PLIT", "PSHD", "GRND", "PGRN", "BACK", "PBAK", "FACE", "SKYD", "SKYG", "PRIO", "CODE", "META", "VPHO", "VWID" };
+static const int PACKED_AS[ORL_PACKED] = { [ORL_PACK_SDF] = PSDF, [ORL_PACK_ALBEDO] = PALB, [ORL_PACK_LITE] = PLIT, [ORL_PACK_SHADOW] = PSHD, [ORL_PACK_GROUND] = PGRN, [ORL_PACK_BACK] = PBAK };
 static const char magic[8] = { 'O', 'R', 'I', 'E', 'L', 'S', 'C', 'N' };
 
 typedef struct { uint32_t nb[3], nbricks; double world_to_grid[12]; float cell_world, shadow_scale[ORL_SHADOW_DIM]; uint8_t reserved[4]; } head_bytes;                       /* [4.1] */
-typedef struct { float plane[3]; uint8_t albedo[ORL_GROUND_SIDE][ORL_GROUND_SIDE][3]; } grnd_bytes;                                                                           /* [4.8] */
-typedef struct { orl_backdrop room; uint8_t rgba[ORL_BACK_ROWS][ORL_BACK_COLS][4]; } back_bytes;                                                                              /* [4.9] */
+typedef struct { float plane[3]; } grnd_bytes;                                                                                                                              /* [4.8] */
 typedef struct { int32_t mean_exp, basis_exp[ORL_ENV_DIM]; uint16_t ground[3]; uint8_t reserved[22]; int16_t mean[ORL_ENV][3], basis[ORL_ENV_DIM][ORL_ENV][3]; } skyd_bytes;    /* [4.11] */
 typedef struct { int32_t exp[ORL_SKY_Q]; uint8_t sky_mean[3], sky_std[3], reserved[2]; int16_t gen[ORL_SKY_Q][3][ORL_SKY_Y]; } skyg_bytes;                                                             /* [4.12] */
 typedef struct { float mean[ORL_CODE], prec[TRI]; } prio_bytes;                                                                                                             /* [4.13] */
-_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 27660 && sizeof(back_bytes) == 196620 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
+_Static_assert(sizeof(head_bytes) == 152 && sizeof(grnd_bytes) == 12 && sizeof(orl_backdrop) == 12 && sizeof(skyd_bytes) == 13888 && sizeof(skyg_bytes) == 820 && sizeof(prio_bytes) == 2960, "sizes of SCENE.md");
 
 typedef struct { const uint8_t *at; uint64_t bytes; } span;
 typedef struct { orl_scene_section list[MAX_SECTIONS]; int count; span known[TAGS]; } layout;
@@ -109,34 +111,29 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
     for (int i = 0; i < l->count; i++)
         if (orl_crc32(b + l->list[i].offset, l->list[i].bytes, 0) != l->list[i].crc) return orl_fail(ORL_E_FORMAT, "%s: section %s: checksum differs", name, l->list[i].tag);
     int scene = l->known[HEAD].at != NULL;
-    uint64_t places = 0, bricks = 0;
     if (scene) {
         if ((e = need(l, HEAD, 1, sizeof(head_bytes), name))) return e;
         const head_bytes *h = (const head_bytes *)l->known[HEAD].at;
         for (int a = 0; a < 3; a++) if (h->nb[a] < 1 || h->nb[a] > 512) return orl_fail(ORL_E_RANGE, "%s: section HEAD: nb[%d] = %u", name, a, h->nb[a]);
-        places = (uint64_t)h->nb[0] * h->nb[1] * h->nb[2];                                      /* at most 2^27 */
+        uint64_t places = (uint64_t)h->nb[0] * h->nb[1] * h->nb[2];                             /* at most 2^27 */
         if (places > 1u << 24) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %llu brick places", name, (unsigned long long)places);
-        bricks = h->nbricks;
-        if (bricks > places) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %u bricks in %llu places", name, h->nbricks, (unsigned long long)places);
+        if (h->nbricks > places || h->nbricks > ORL_BRICKS_MOST) return orl_fail(ORL_E_RANGE, "%s: section HEAD: %u bricks in %llu places", name, h->nbricks, (unsigned long long)places);
     }
-    /* bricks is at most 2^24: no product below leaves 64 bits */
-    const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [BMAP] = 4 * places, [SDF8] = bricks * ORL_BRICK_VERTS, [SKIN] = 4 * bricks,
-        [LITE] = bricks * ORL_LITE_VERTS * ORL_LITE_BYTES, [SHAD] = bricks * ORL_LITE_VERTS * ORL_SHADOW_DIM, [GRND] = sizeof(grnd_bytes), [BACK] = sizeof(back_bytes), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes),
-        [PRIO] = sizeof(prio_bytes), [META] = sizeof s->title };
+    const uint64_t want[TAGS] = { [HEAD] = sizeof(head_bytes), [GRND] = sizeof(grnd_bytes), [BACK] = sizeof(orl_backdrop), [SKYD] = sizeof(skyd_bytes), [SKYG] = sizeof(skyg_bytes), [PRIO] = sizeof(prio_bytes),
+        [META] = sizeof s->title };
     for (int t = 0; t < TAGS; t++) {
         if (!scene && t <= FACE && l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s without HEAD", name, tags[t]);
-        if (t == ALBD || t == CODE || t == FACE || t >= VPHO) continue;
-        int required = t <= ALBD ? scene : t > FACE;
-        if ((e = need(l, t, required, want[t], name))) return e;
+        int required = t <= PALB ? scene : t == PGRN || t == PBAK ? l->known[t - 1].at != NULL : t > FACE && t != CODE && t < VPHO;
+        if (required && !l->known[t].at) return orl_fail(ORL_E_FORMAT, "%s: section %s is missing", name, tags[t]);
+        if (want[t] && (e = need(l, t, required, want[t], name))) return e;
+        if ((t == PGRN || t == PBAK) && l->known[t].at && !required) return orl_fail(ORL_E_FORMAT, "%s: section %s without %s", name, tags[t], tags[t - 1]);
     }
     for (int k = 0; k < ORL_VIEWS; k++) {
         s->view[k] = l->known[VPHO + k].at;
         s->view_bytes[k] = l->known[VPHO + k].bytes;
         if (!s->view[k] != !s->view[0] || (s->view[k] && scene)) return orl_fail(ORL_E_FORMAT, "%s: section %s: a baked file has both views and no HEAD", name, tags[VPHO + k]);
     }
-    span base = l->known[ALBD], face = l->known[FACE], code = l->known[CODE];
-    if (scene && !base.at) return orl_fail(ORL_E_FORMAT, "%s: section ALBD is missing", name);
-    if (base.bytes % (3 * ORL_SKIN_TEXELS) || base.bytes / (3 * ORL_SKIN_TEXELS) > ORL_SKIN_MOST) return orl_fail(ORL_E_FORMAT, "%s: section ALBD: %llu bytes", name, (unsigned long long)base.bytes);
+    span face = l->known[FACE], code = l->known[CODE];
     if (face.at && (face.bytes % 6 || face.bytes == 0 || face.bytes / 6 > ORL_FACINGS)) return orl_fail(ORL_E_FORMAT, "%s: section FACE: %llu bytes", name, (unsigned long long)face.bytes);
     uint64_t one = ORL_CODE * sizeof(float);
     if (code.at && (code.bytes % one || code.bytes == 0 || code.bytes / one > MAX_CODES))
@@ -148,28 +145,57 @@ static orl_err parse(const uint8_t *b, size_t n, const char *name, layout *l, or
         memcpy(s->world_to_grid, h->world_to_grid, sizeof s->world_to_grid);
         s->cell_world = h->cell_world;
         memcpy(s->shadow_scale, h->shadow_scale, sizeof s->shadow_scale);
-        s->bmap = (const int32_t *)l->known[BMAP].at;
-        s->sdf = (const int8_t *)l->known[SDF8].at;
-        s->skin = (const uint32_t *)l->known[SKIN].at;
-        s->albedo = base.at;
-        s->ntextures = (uint32_t)(base.bytes / (3 * ORL_SKIN_TEXELS));
-        s->lite = l->known[LITE].at;
-        s->shadow = (const int8_t *)l->known[SHAD].at;
-        const grnd_bytes *g = (const grnd_bytes *)l->known[GRND].at;
-        if (g) {
-            memcpy(s->ground, g->plane, sizeof s->ground);
-            s->ground_albedo = g->albedo[0][0];
-        }
-        const back_bytes *back = (const back_bytes *)l->known[BACK].at;
-        if (back && !g) return orl_fail(ORL_E_FORMAT, "%s: section BACK without GRND", name);
-        if (back) {
-            s->backdrop = back->room;
-            s->backdrop_rgba = back->rgba[0][0];
-        }
+        if (l->known[BACK].at && !l->known[GRND].at) return orl_fail(ORL_E_FORMAT, "%s: section BACK without GRND", name);
+        if (l->known[GRND].at) memcpy(s->ground, l->known[GRND].at, sizeof s->ground);
+        if (l->known[BACK].at) memcpy(&s->backdrop, l->known[BACK].at, sizeof s->backdrop);
     }
     s->codes = (const float *)code.at;
     s->ncodes = (uint32_t)(code.bytes / one);
     memcpy(s->title, l->known[META].at, sizeof s->title);
+    return ORL_OK;
+}
+
+/* ---- unpack [5]: the map and the textures that there are first, all else from them */
+
+typedef struct { const layout *l; const orl_scene *s; uint8_t *to[ORL_PACKED]; orl_pack_step step[ORL_PACKED]; orl_err e[ORL_PACKED]; } unpack_job;
+
+static void unpack_kinds(void *user, int begin, int end)
+{
+    unpack_job *j = user;
+    for (int k = begin; k < end; k++) {
+        span from = j->l->known[PACKED_AS[k]];
+        if (from.at) j->e[k] = unpack_values(k, j->s, from.at, from.bytes, j->to[k], &j->step[k]);
+    }
+}
+
+static orl_err unpack(const layout *l, orl_scene *s, const char *name)
+{
+    size_t map = align64(4 * (size_t)s->nb[0] * s->nb[1] * s->nb[2]), total = 0, at[ORL_PACKED];
+    uint8_t *index = s->block[0] = aligned_alloc(64, map + align64(4 * (size_t)s->nbricks));
+    if (!index) return orl_fail(ORL_E_MEMORY, "%s: no memory for %u bricks", name, s->nbricks);
+    s->bmap = (const int32_t *)index;
+    s->skin = (const uint32_t *)(index + map);
+    orl_err e = unpack_index(s, l->known[PMAP].at, l->known[PMAP].bytes, l->known[PSKN].at, l->known[PSKN].bytes, name, (int32_t *)index, (uint32_t *)(index + map), &s->ntextures);
+    if (e) return e;
+    for (int k = 0; k < ORL_PACKED; k++) {
+        at[k] = total;
+        if (l->known[PACKED_AS[k]].at) total += align64(pack_bytes(k, s));
+    }
+    uint8_t *block = s->block[1] = aligned_alloc(64, total + 64);
+    if (!block) return orl_fail(ORL_E_MEMORY, "%s: no memory for a surface of %zu bytes", name, total);
+    unpack_job j = { .l = l, .s = s };
+    for (int k = 0; k < ORL_PACKED; k++) j.to[k] = l->known[PACKED_AS[k]].at ? block + at[k] : NULL;
+    orl_parallel(0, ORL_PACKED, 1, unpack_kinds, &j);
+    for (int k = 0; k < ORL_PACKED; k++) {
+        if (j.e[k]) return orl_fail(j.e[k], j.e[k] == ORL_E_MEMORY ? "%s: section %s: no memory" : "%s: section %s: no steps, or it does not end where its bytes do", name, tags[PACKED_AS[k]]);
+        s->step[k] = j.step[k];
+    }
+    s->sdf = (const int8_t *)j.to[ORL_PACK_SDF];
+    s->albedo = j.to[ORL_PACK_ALBEDO];
+    s->lite = j.to[ORL_PACK_LITE];
+    s->shadow = (const int8_t *)j.to[ORL_PACK_SHADOW];
+    s->ground_albedo = j.to[ORL_PACK_GROUND];
+    s->backdrop_rgba = j.to[ORL_PACK_BACK];
     return ORL_OK;
 }
 
@@ -205,16 +231,6 @@ static orl_err validate_head(const layout *l, const orl_scene *s, const char *na
     for (int a = 0; s->backdrop_rgba && a < 2; a++)
         if (!(room->half[a] >= 4 * (float)s->nb[a] && room->half[a] <= 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section BACK: half[%d] = %g", name, a, (double)room->half[a]);
     if (s->backdrop_rgba && !(room->height > 0.01f && room->height <= 1e6f)) return orl_fail(ORL_E_RANGE, "%s: section BACK: height %g", name, (double)room->height);
-    uint64_t places = (uint64_t)s->nb[0] * s->nb[1] * s->nb[2];
-    for (uint64_t i = 0; i < places; i++)
-        if (s->bmap[i] >= (int64_t)s->nbricks || s->bmap[i] < -127) return orl_fail(ORL_E_RANGE, "%s: section BMAP: entry %llu = %d", name, (unsigned long long)i, s->bmap[i]);
-    uint64_t textures = 0;
-    for (uint32_t i = 0; i < s->nbricks; i++) {
-        unsigned faces = orl_skin_mask(s->skin[i]);
-        if (!faces || orl_skin_first(s->skin[i]) != textures) return orl_fail(ORL_E_RANGE, "%s: section SKIN: entry %u = %u", name, i, s->skin[i]);
-        textures += (unsigned)__builtin_popcount(faces);
-    }
-    if (textures != s->ntextures) return orl_fail(ORL_E_FORMAT, "%s: section ALBD: %u textures, SKIN has %llu", name, s->ntextures, (unsigned long long)textures);
     return ORL_OK;
 }
 
@@ -290,8 +306,10 @@ orl_err orl_scene_parse(const void *bytes, size_t n, const char *name, orl_scene
     layout l;
     orl_scene s = { 0 };
     orl_err e = parse(bytes, n, name, &l, &s);
+    if (!e && l.known[HEAD].at) e = unpack(&l, &s, name);
     if (!e) e = validate(&l, &s, name);
     if (!e) *out = s;
+    else orl_scene_close(&s);
     return e;
 }
 
@@ -332,6 +350,7 @@ orl_err orl_scene_open(const char *path, orl_scene *out)
 void orl_scene_close(orl_scene *s)
 {
     if (s->map) munmap(s->map, s->map_bytes);
+    for (int k = 0; k < 2; k++) free(s->block[k]);
     memset(s, 0, sizeof *s);
 }
 
@@ -390,12 +409,43 @@ static orl_err encode_light(const orl_light_model *m, skyd_bytes *d, skyg_bytes 
     return e;
 }
 
-orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
+/* The surface's packed sections, malloc'd. */
+static orl_err pack(const char *path, const orl_scene *s, uint8_t *data[TAGS], size_t bytes[TAGS])
+{
+    uint64_t places = 1, textures = 0;
+    uint32_t n = 0;
+    for (int a = 0; a < 3; a++) {
+        if (s->nb[a] < 1 || s->nb[a] > 512) return orl_fail(ORL_E_RANGE, "%s: nb[%d] = %u", path, a, s->nb[a]);
+        places *= s->nb[a];
+    }
+    if (places > 1u << 24 || s->nbricks > places || s->nbricks > ORL_BRICKS_MOST) return orl_fail(ORL_E_RANGE, "%s: %u bricks in %llu places", path, s->nbricks, (unsigned long long)places);
+    for (uint64_t i = 0; i < places; i++)
+        if (s->bmap[i] >= 0 && ((uint32_t)s->bmap[i] != n++ || n > s->nbricks)) return orl_fail(ORL_E_RANGE, "%s: brick %d stands at place %llu, out of order", path, s->bmap[i], (unsigned long long)i);
+    if (n != s->nbricks) return orl_fail(ORL_E_RANGE, "%s: %u bricks, %u on the map", path, s->nbricks, n);
+    for (uint32_t i = 0; i < n; i++) {
+        unsigned faces = orl_skin_mask(s->skin[i]);
+        if (!faces || orl_skin_first(s->skin[i]) != textures) return orl_fail(ORL_E_RANGE, "%s: textures of brick %u: %u", path, i, s->skin[i]);
+        textures += (unsigned)__builtin_popcount(faces);
+    }
+    if (textures != s->ntextures) return orl_fail(ORL_E_FORMAT, "%s: %u textures, bricks have %llu", path, s->ntextures, (unsigned long long)textures);
+    orl_err e = pack_index(s, &data[PMAP], &bytes[PMAP], &data[PSKN], &bytes[PSKN]);
+    const void *values[ORL_PACKED] = { s->sdf, s->albedo, s->lite, s->shadow, s->ground_albedo, s->backdrop_rgba };
+    const uint8_t *used[ORL_PACKED] = { [ORL_PACK_ALBEDO] = s->texel_used, [ORL_PACK_LITE] = s->light_used, [ORL_PACK_SHADOW] = s->light_used };
+    for (int k = 0; !e && k < ORL_PACKED; k++) {
+        int t = PACKED_AS[k];
+        if (values[k] || t <= PALB) e = pack_values(k, s, values[k], used[k], &data[t], &bytes[t]);
+    }
+    return e;
+}
+
+/* The file in memory, malloc'd. */
+static orl_err lay_out(const char *path, const orl_scene *s, uint8_t **out, size_t *n)
 {
     static const head_bytes head_zero;
     head_bytes head = head_zero;
-    grnd_bytes grnd;
-    back_bytes *back = NULL;
+    uint8_t *packed[TAGS] = { NULL }, *file;
+    size_t packed_bytes[TAGS] = { 0 };
+    uint64_t total = 0;
     skyd_bytes skyd = { 0 };
     skyg_bytes skyg = { 0 };
     prio_bytes prio;
@@ -419,36 +469,25 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
         bytes[VPHO + k] = s->view_bytes[k];
     }
     if (s->bmap) {
-        uint64_t places = 1, n = s->nbricks;
-        for (int a = 0; a < 3; a++) {
-            if (s->nb[a] < 1 || s->nb[a] > 512) return orl_fail(ORL_E_RANGE, "%s: nb[%d] = %u", path, a, s->nb[a]);
-            places *= s->nb[a];
-        }
-        if (n > places) return orl_fail(ORL_E_RANGE, "%s: %u bricks in %llu places", path, s->nbricks, (unsigned long long)places);
         memcpy(head.nb, s->nb, sizeof head.nb);
         head.nbricks = s->nbricks;
         memcpy(head.world_to_grid, s->world_to_grid, sizeof head.world_to_grid);
         head.cell_world = s->cell_world;
         if (s->shadow) memcpy(head.shadow_scale, s->shadow_scale, sizeof head.shadow_scale);
-        if (s->ground_albedo) {
-            memcpy(grnd.plane, s->ground, sizeof grnd.plane);
-            memcpy(grnd.albedo, s->ground_albedo, sizeof grnd.albedo);
-        }
-        if (s->backdrop_rgba) {
-            if (!(back = malloc(sizeof *back))) return orl_fail(ORL_E_MEMORY, "%s: no memory for the backdrop", path);
-            back->room = s->backdrop;
-            memcpy(back->rgba, s->backdrop_rgba, sizeof back->rgba);
-        }
-        const void *d[] = { &head, s->bmap, s->sdf, s->skin, s->albedo, s->lite, s->shadow, s->ground_albedo ? &grnd : NULL, back, s->facings.n ? face : NULL };
-        const uint64_t b[] = { sizeof head, 4 * places, n * ORL_BRICK_VERTS, 4 * n, (uint64_t)s->ntextures * ORL_SKIN_TEXELS * 3, n * ORL_LITE_VERTS * ORL_LITE_BYTES, n * ORL_LITE_VERTS * ORL_SHADOW_DIM, sizeof grnd, sizeof *back, (uint64_t)s->facings.n * sizeof *face };
-        for (int t = HEAD; t <= FACE; t++) { data[t] = d[t]; bytes[t] = b[t]; }
+        if ((e = pack(path, s, packed, packed_bytes))) goto done;
+        for (int t = PMAP; t < FACE; t++) { data[t] = packed[t]; bytes[t] = packed_bytes[t]; }
+        data[HEAD] = &head;
+        bytes[HEAD] = sizeof head;
+        if (s->ground_albedo) { data[GRND] = s->ground; bytes[GRND] = sizeof s->ground; }
+        if (s->backdrop_rgba) { data[BACK] = &s->backdrop; bytes[BACK] = sizeof s->backdrop; }
+        if (s->facings.n) { data[FACE] = face; bytes[FACE] = (uint64_t)s->facings.n * sizeof *face; }
     }
     uint32_t count = 0;
     for (int t = 0; t < TAGS; t++) count += data[t] != NULL;
-    uint64_t total = align64(HEADER + (uint64_t)count * ENTRY);
+    total = align64(HEADER + (uint64_t)count * ENTRY);
     for (int t = 0; t < TAGS; t++) if (data[t]) total = align64(total + bytes[t]);
-    uint8_t *file = total <= SIZE_MAX ? aligned_alloc(64, (size_t)total) : NULL;
-    if (!file) { free(back); return orl_fail(ORL_E_MEMORY, "%s: no memory for %llu bytes", path, (unsigned long long)total); }
+    file = total <= SIZE_MAX ? aligned_alloc(64, (size_t)total) : NULL;
+    if (!file) { e = orl_fail(ORL_E_MEMORY, "%s: no memory for %llu bytes", path, (unsigned long long)total); goto done; }
     memset(file, 0, HEADER + (size_t)count * ENTRY);
     memcpy(file, magic, 8);
     uint32_t version = VERSION;
@@ -473,11 +512,34 @@ orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
     memset(file + at, 0, (size_t)(total - at));
     uint32_t crc = header_crc(file, count);
     memcpy(file + 24, &crc, 4);
+    *out = file;
+    *n = (size_t)total;
+done:
+    for (int t = 0; t < TAGS; t++) free(packed[t]);
+    return e;
+}
+
+orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out)
+{
+    uint8_t *file;
+    size_t n;
     orl_scene check;
-    e = orl_scene_parse(file, (size_t)total, path, &check);         /* never leave a file behind that cannot be read */
-    if (!e) e = orl_file_write(path, file, (size_t)total);
+    orl_err e = lay_out(path, s, &file, &n);
+    if (e) return e;
+    e = orl_scene_parse(file, n, path, &check);         /* never leave a file behind that cannot be read */
+    if (!e) {
+        orl_scene_close(&check);
+        e = orl_file_write(path, file, n);
+    }
     free(file);
-    free(back);
-    if (!e && bytes_out) *bytes_out = (size_t)total;
+    if (!e && bytes_out) *bytes_out = n;
+    return e;
+}
+
+orl_err orl_scene_size(const char *path, const orl_scene *s, size_t *bytes_out)
+{
+    uint8_t *file;
+    orl_err e = lay_out(path, s, &file, bytes_out);
+    if (!e) free(file);
     return e;
 }

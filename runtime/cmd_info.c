@@ -86,6 +86,8 @@ int orl_cmd_info(int argc, char **argv)
         if (total) printf("grid      %u x %u x %u cells of %.6g, box %.5g x %.5g x %.5g world units\n", s.nb[0] * 8, s.nb[1] * 8, s.nb[2] * 8, (double)s.cell_world, size[0], size[1], size[2]);
         if (total) printf("bricks    %u of %" PRIu64 " (%.1f %%)\n", s.nbricks, total, 100.0 * s.nbricks / (double)total);
         if (total) printf("textures  %u of base colour, %d texels a cell, %.2f a brick\n", s.ntextures, ORL_SKIN_PER_CELL, s.ntextures / (double)(s.nbricks + !s.nbricks));
+        if (total) printf("packed    in steps of %d (distances), %d and %d (base colour), %d and %d (light), %d (shadow features)\n", s.step[ORL_PACK_SDF].step[0], s.step[ORL_PACK_ALBEDO].step[0], s.step[ORL_PACK_ALBEDO].step[1],
+                          s.step[ORL_PACK_LITE].step[0], s.step[ORL_PACK_LITE].step[1], s.step[ORL_PACK_SHADOW].step[0]);
         if (s.facings.n) printf("facings   %d directions that walls have\n", s.facings.n);
         if (s.backdrop_rgba) printf("backdrop  on walls %.3g times as far away as the box's\n", (double)s.backdrop.half[0] / (4.0 * s.nb[0]));
         if (s.view[0]) printf("baked     a photo of %d x %d, its light found in %d x %d, widened to %d x %d\n", photo.w, photo.h, view[0].w, view[0].h, view[1].w, view[1].h);

@@ -295,6 +295,7 @@ static void test_bad_header(void **state)
     memset(b + 32, 0xff, 32);
     seal(b);
     assert_int_equal(orl_scene_parse(b, file_n, "test", &s), ORL_OK);
+    orl_scene_close(&s);
     /* memory that is not aligned is refused, not read */
     assert_int_equal(orl_scene_parse(b + 1, file_n - 1, "test", &s), ORL_E_RANGE);
     free(b);
@@ -316,21 +317,17 @@ static void test_flipped_bytes(void **state)
 static void test_field_ranges(void **state)
 {
     (void)state;
-    size_t head = section("HEAD"), map = section("BMAP"), skin = section("SKIN"), skyd = section("SKYD"), skyg = section("SKYG");
+    size_t head = section("HEAD"), map = section("PMAP"), skin = section("PSKN"), sdf = section("PSDF"), base = section("PALB"), skyd = section("SKYD"), skyg = section("SKYG");
     size_t prio = section("PRIO"), code = section("CODE"), face = section("FACE"), meta = section("META");
-    uint32_t bricks, last;
-    memcpy(&bricks, file + head + 12, 4);
-    memcpy(&last, file + skin + 4 * (bricks - 1), 4);
     const uint32_t nan = 0x7fc00000, inf = 0x7f800000, huge = 0xffffffff;
     struct { size_t at; uint32_t v; orl_err want; } edit[] = {
         { head, 0, ORL_E_RANGE }, { head, 513, ORL_E_RANGE }, { head, huge, ORL_E_RANGE }, { head + 4, 512, ORL_E_FORMAT },
         { head + 8, 0x80000000, ORL_E_RANGE },
-        { head + 12, huge, ORL_E_RANGE }, { head + 12, 7, ORL_E_RANGE }, { head + 12, 1, ORL_E_FORMAT },
+        { head + 12, huge, ORL_E_RANGE }, { head + 12, 7, ORL_E_RANGE }, { head + 12, 1, ORL_E_RANGE },
         { head + 20, 0x7ff00000, ORL_E_RANGE }, { head + 20, 0, ORL_E_RANGE }, { head + 20, 0x42000000, ORL_E_RANGE },
         { head + 112, nan, ORL_E_RANGE }, { head + 112, 0, ORL_E_RANGE }, { head + 112, 0x3f800000, ORL_E_RANGE },
         { head + 116, 0x3f800001, ORL_E_RANGE }, { head + 116, inf, ORL_E_RANGE }, { head + 116, 0xbf800000, ORL_E_RANGE }, { head + 148, 1, ORL_E_FORMAT },
-        { map, 0x7fffffff, ORL_E_RANGE }, { map + 4, 0x80000000, ORL_E_RANGE }, { map + 4, (uint32_t)-128, ORL_E_RANGE }, { map, 6, ORL_E_RANGE },
-        { skin, 0, ORL_E_RANGE }, { skin, 64 | 1, ORL_E_RANGE }, { skin, 63, ORL_E_RANGE }, { skin + 4, 16, ORL_E_RANGE }, { skin + 4, 0xffffffff, ORL_E_RANGE }, { skin + 4 * (bricks - 1), last | 63, ORL_E_FORMAT },
+        { map, 0, ORL_E_RANGE }, { skin, 0x00ffff00, ORL_E_RANGE }, { sdf, 0, ORL_E_FORMAT }, { sdf, 1, ORL_E_FORMAT }, { sdf, 0x01000101, ORL_E_FORMAT }, { sdf + 4, 1, ORL_E_FORMAT }, { base, 0x100, ORL_E_FORMAT },
         { skyd, 16, ORL_E_RANGE }, { skyd + 4, (uint32_t)-41, ORL_E_RANGE }, { skyd + 60, 1, ORL_E_FORMAT },
         { skyg, huge / 2, ORL_E_RANGE }, { skyg + 60, 0x10000, ORL_E_FORMAT },
         { prio, nan, ORL_E_RANGE }, { prio + 148, 0xbf800000, ORL_E_RANGE }, { prio + 152, inf, ORL_E_RANGE },
@@ -343,6 +340,7 @@ static void test_field_ranges(void **state)
         seal(b);
         orl_scene s;
         orl_err e = orl_scene_parse(b, file_n, "test", &s);
+        if (!e) orl_scene_close(&s);
         if (e != edit[i].want) fail_msg("edit %zu: got %d, want %d (%s)", i, e, edit[i].want, e ? orl_error_text() : "");
         free(b);
     }
@@ -353,6 +351,9 @@ static void test_field_ranges(void **state)
     seal(b);
     refuse(b, file_n, ORL_E_RANGE);
     put32(b + head, 64);
+    seal(b);
+    refuse(b, file_n, ORL_E_RANGE);
+    put32(b + head + 12, ORL_BRICKS_MOST);
     seal(b);
     refuse(b, file_n, ORL_E_FORMAT);
     free(b);

@@ -1,9 +1,20 @@
-/* Quantises the trained model into the scene file: SDF to 1/32 cell, base colour to 8-bit square roots, openness and horizons to 8 bits, shadow features to int8 with power-of-two scales.
- * The shadow branch is left out where it darkens nothing. */
+/* Quantises the trained model into the scene file: SDF to 1/32 cell, base colour to 8-bit square roots, openness and horizons to 8 bits, shadow features to int8 with power-of-two scales; then rounds these to the finest
+ * steps with which the file is not larger than FILE_MOST. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include "trainer/checkpoint.h"
+#include "trainer/used.h"
+
+#define FILE_MOST 4000000       /* bytes */
+
+/* Steps from none to coarse, each for a file a tenth or so smaller: of distances and their growth, green, red and blue, openness and horizons, shadow features, green and the rest beyond the bricks. */
+static const uint8_t STEPS[][8] = {
+    { 1, 0, 1, 1, 1, 1, 1, 1 }, { 1, 32, 2, 2, 2, 1, 1, 1 }, { 2, 16, 3, 4, 3, 1, 2, 2 }, { 2, 24, 3, 5, 4, 2, 2, 2 },
+    { 2, 32, 4, 6, 5, 2, 2, 2 }, { 2, 40, 4, 6, 6, 2, 2, 2 }, { 2, 40, 5, 7, 6, 2, 2, 2 }, { 2, 64, 6, 9, 8, 3, 2, 2 },
+    { 3, 40, 7, 11, 9, 3, 3, 4 }, { 3, 48, 8, 13, 10, 3, 3, 4 }, { 3, 64, 9, 15, 11, 4, 3, 4 }, { 4, 56, 11, 18, 13, 4, 4, 6 },
+    { 4, 64, 12, 20, 14, 5, 4, 6 }, { 4, 96, 14, 24, 18, 6, 6, 8 }, { 5, 96, 16, 28, 22, 7, 6, 8 }, { 6, 112, 20, 34, 26, 8, 8, 8 },
+};
 
 static uint8_t quant8(float v) { return (uint8_t)(!(v > 0) ? 0 : v >= 1 ? 255 : (int)(v * 255.0f + 0.5f)); }      /* what is no number becomes 0, here and below */
 
@@ -47,6 +58,31 @@ static void backdrop_texels(const surface *surf, const stage2 *s2, uint8_t (*out
         for (int c = 0; c < 3; c++) out[t][c] = quant8(sqrtf(rgb[c]));
         out[t][3] = surf->opacity[t];
     }
+}
+
+/* Writes by these steps, or only tells the size. */
+static orl_err pack(const char *path, orl_scene *sc, const uint8_t *q, int write, size_t *bytes)
+{
+    const orl_pack_step beyond = { { q[6], q[7] }, 0 }, step[ORL_PACKED] = { [ORL_PACK_SDF] = { { q[0], 1 }, q[1] }, [ORL_PACK_ALBEDO] = { { q[2], q[3] }, 0 }, [ORL_PACK_LITE] = { { q[4], q[4] }, 0 },
+        [ORL_PACK_SHADOW] = { { q[5], 1 }, 0 }, [ORL_PACK_GROUND] = beyond, [ORL_PACK_BACK] = beyond };
+    memcpy(sc->step, step, sizeof step);
+    orl_err e = used_mark(sc);
+    if (!e) e = write ? orl_scene_write(path, sc, bytes) : orl_scene_size(path, sc, bytes);
+    used_free(sc);
+    return e;
+}
+
+/* By the finest steps with which the file is small enough; by the coarsest if there are none. */
+static orl_err write_within(const char *path, orl_scene *sc, size_t *bytes)
+{
+    size_t fine = 0, coarse = sizeof STEPS / sizeof *STEPS - 1, size;
+    orl_err e = ORL_OK;
+    while (!e && fine < coarse) {
+        size_t k = (fine + coarse) / 2;
+        e = pack(path, sc, STEPS[k], 0, &size);
+        if (!e && size > FILE_MOST) fine = k + 1; else coarse = k;
+    }
+    return e ? e : pack(path, sc, STEPS[fine], 1, bytes);
 }
 
 orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, const char *title, size_t *bytes)
@@ -112,7 +148,7 @@ orl_err export_scene(const char *path, const surface *surf, const stage2 *s2, co
         sc.ncodes = (uint32_t)s2->w->nphotos;
         sc.codes = &s2->codes[0][0];
     }
-    e = orl_scene_write(path, &sc, bytes);
+    e = write_within(path, &sc, bytes);
 done:
     free(ground);
     free(back);

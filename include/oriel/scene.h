@@ -1,4 +1,5 @@
-/* The scene file (formats/SCENE.md) in memory. Read: pointers go into the mapped file, nothing is copied but the light model. Written: the trainer fills the same struct.
+/* The scene file (formats/SCENE.md) in memory. Read: the surface is unpacked into a block that is allocated when the file is opened, other pointers go into the mapped file, and the light model is copied.
+ * Written: the trainer fills the same struct.
  *
  * Grid frame: the scene frame (z up) scaled and moved so that one unit is one fine cell and the box is [0, 8 nb_x] x [0, 8 nb_y] x [0, 8 nb_z].
  *   grid = S * world + o, S = scale * rotation (row-major world_to_grid, 3 x 4).
@@ -21,12 +22,20 @@ enum { ORL_GROUND_SIDE = 96, ORL_VIEWS = 2, ORL_CUTS = 16 };      /* CUTS: secti
 enum { ORL_BRICK = 8, ORL_BRICK_V = 9, ORL_BRICK_VERTS = 729, ORL_LITE_V = 3, ORL_LITE_VERTS = 27, ORL_LITE_BYTES = 17 };
 #define ORL_SDF_UNIT 32         /* sdf int8 is in 1/32 cell, saturating: -4 .. +3.97 cells; positive = free space */
 
+enum { ORL_BRICKS_MOST = 1 << 20 };
+/* What is packed by rounding, and how coarsely (SCENE.md 5.3): steps in units of the stored byte, 0 counting as 1, which loses nothing. */
+enum { ORL_PACK_SDF, ORL_PACK_ALBEDO, ORL_PACK_LITE, ORL_PACK_SHADOW, ORL_PACK_GROUND, ORL_PACK_BACK, ORL_PACKED };
+typedef struct {
+    uint8_t step[2];                /* of distances, green, openness, shadow features, opacity; and of red and blue, horizons */
+    uint8_t far;                    /* of distances: the step grows by so many 1024ths of itself for each 1/32 cell from the surface */
+} orl_pack_step;
+
 typedef struct {
     uint32_t nb[3];                 /* bricks along x, y, z; 1..512 each, product <= 2^24 */
     double world_to_grid[12];       /* row-major 3 x 4 similarity */
     float cell_world;               /* world units per fine cell */
-    uint32_t nbricks;
-    const int32_t *bmap;            /* [nb_z][nb_y][nb_x]: >= 0 brick index; < 0: empty, -d = Chebyshev distance in bricks to the nearest brick, -127 at most */
+    uint32_t nbricks;               /* at most ORL_BRICKS_MOST */
+    const int32_t *bmap;            /* [nb_z][nb_y][nb_x]: >= 0 brick index, rising by one from 0; < 0: empty, -d = Chebyshev distance in bricks to the nearest brick, -127 at most */
     const int8_t *sdf;              /* [nbricks][729] */
     uint32_t ntextures;
     const uint32_t *skin;           /* [nbricks]: first texture << 6 | faces (oriel/skin.h), at least one; bricks take their textures in turn */
@@ -44,17 +53,23 @@ typedef struct {
     const float *codes;             /* [ncodes][ORL_CODE] */
     const uint8_t *view[ORL_VIEWS]; uint64_t view_bytes[ORL_VIEWS];    /* of a baked file, which has no surface: the photo's view and the wide one (runtime/baked.h); NULL, 0 */
     char title[64];                 /* e.g. the SCENE folder's name */
+    orl_pack_step step[ORL_PACKED]; /* how coarsely it was, or is to be, written; what is read is written again to the same bytes */
+    /* writer's side */
+    const uint8_t *texel_used, *light_used;     /* [ntextures][17 x 17], [nbricks][27]: 0 where nothing looks, and the writer may put what it likes; NULL: all count */
     /* owner's side */
     void *map; size_t map_bytes;    /* mapped file, or NULL when the arrays belong to the writer */
+    void *block[2];                 /* what was unpacked, or NULL */
 } orl_scene;
 
-/* Maps and validates the file: parse (sections, checksums, every count against remaining bytes) then validate (ranges, finite numbers, brick indices). */
+/* Maps, unpacks and validates the file: parse (sections, checksums, every count against remaining bytes), unpack, then validate (ranges, finite numbers). Unpacking takes one thread per core; the same for any number. */
 orl_err orl_scene_open(const char *path, orl_scene *out);
-/* The same from memory (not owned, 64-byte aligned), for fuzzing. name stands in messages. */
+/* The same from memory (not owned, 64-byte aligned, needed until the scene is closed), for fuzzing. name stands in messages. */
 orl_err orl_scene_parse(const void *bytes, size_t n, const char *name, orl_scene *out);
 void orl_scene_close(orl_scene *s);
-/* Temporary file, fsync, rename. write -> read -> write is byte-identical. */
+/* Temporary file, fsync, rename. Vertices and texels that bricks share are those of the first that has them. write -> read -> write is byte-identical. */
 orl_err orl_scene_write(const char *path, const orl_scene *s, size_t *bytes_out);
+/* Bytes that it would take; path stands in messages. */
+orl_err orl_scene_size(const char *path, const orl_scene *s, size_t *bytes_out);
 /* Section list for `oriel info`. */
 typedef struct { char tag[5]; uint64_t offset, bytes; uint32_t crc; } orl_scene_section;
 orl_err orl_scene_sections(const char *path, orl_scene_section *out, int cap, int *count);

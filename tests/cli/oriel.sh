@@ -14,7 +14,7 @@ scene="--scene $W/scene.oriel" pose="--pose $W/pose.txt" clip="--source replay:$
 "$O" --help | grep -q extend || fail "--help"
 "$O" --version | grep -q '^cpu: ' || fail "--version"
 for c in info extend relight bake run bench; do "$O" $c --help | grep -q "Usage: oriel $c" || fail "$c --help"; done
-"$O" info "$W/scene.oriel" | grep -q 'SDF8' || fail "info"
+"$O" info "$W/scene.oriel" | grep -q 'PSDF' || fail "info"
 "$O" info --json "$W/scene.oriel" | grep -q '"title": "synthetic"' || fail "info --json"
 if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | python3 -m json.tool >/dev/null || fail "info --json is not JSON"; fi
 

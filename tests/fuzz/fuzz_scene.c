@@ -60,6 +60,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n)
             }
             for (uint32_t i = 0; i < s.ncodes * ORL_CODE; i++) sum += s.codes[i] > 0;
             sink = sum;
+            orl_scene_close(&s);
         }
         repair(b, n);
     }
