@@ -84,7 +84,9 @@ static void palette_dir(int index, float n[3])
 
 /* ---- building */
 
-typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
+enum { TILE = 8, RAYS = 4 };        /* TILE: pixels a side that set out together; RAYS: a pixel's at most */
+
+typedef struct { const orl_scene *s; orl_view *v; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
 
 /* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
@@ -109,12 +111,12 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
     }
     const uint8_t *c = s->ground_albedo + 3 * (at[1] * ORL_GROUND_SIDE + at[0]), *next = c + 3 * ORL_GROUND_SIDE;
     memset(h, 0, sizeof *h);
+    h->brick = -1;
     h->grad[2] = 1;
     for (int k = 0; k < 3; k++) {
         uint32_t a = (256 - w[0]) * (uint32_t)(c[k] * c[k]) + w[0] * (uint32_t)(c[k + 3] * c[k + 3]), b = (256 - w[0]) * (uint32_t)(next[k] * next[k]) + w[0] * (uint32_t)(next[k + 3] * next[k + 3]);
         h->albedo[k] = (uint32_t)(((uint64_t)((256 - w[1]) * a + w[1] * b) * 65535 + 65025 * 32768u) / (65025ull * 65536));
     }
-    h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
 }
 
@@ -132,30 +134,24 @@ static int backdrop_meet(const orl_scene *s, const double o[3], const double d[3
     }
     if ((int)(8 * ((rgba[3] + 128) >> 8)) < 255 * opaque) return 0;
     memset(h, 0, sizeof *h);
+    h->brick = -1;
     float n[3];
     orl_backdrop_normal(uv[0], n);
     for (int a = 0; a < 3; a++) h->grad[a] = (n[a] > 0) - (n[a] < 0);
     for (int k = 0; k < 3; k++) h->albedo[k] = (uint32_t)(((uint64_t)rgba[k] * 65535 + 65025 * 128u) / (65025u * 256));
-    h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
     return 1;
 }
 
 static int beside_box(const orl_scene *s, const double x[3]) { return x[0] < 0 || x[1] < 0 || x[0] > 8.0 * s->nb[0] || x[1] > 8.0 * s->nb[1]; }
 
-/* The surface, or the ground where the ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface.
- * Where no surface is met, the backdrop stands before the ground behind it. */
-static int meet(const orl_scene *s, const double o[3], const double d[3], int opaque, orl_hit *h)
+/* The surface, or the ground where a ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface.
+ * Where no surface is met, the backdrop stands before the ground behind it. met: *h holds the surface or cut that was met. */
+static int settle_ray(const orl_scene *s, const double o[3], const double d[3], int met, int opaque, orl_hit *h)
 {
-    double t = 0, from[3] = { o[0], o[1], o[2] };
-    int64_t gone = 0;
-    if (!s->ground_albedo) return orl_march(s, o, d, h);
-    int met = 0, falls = ground_meet(s, o, d, &t);
-    for (int k = 0; !met && k < ORL_CUTS && orl_march(s, from, d, h); k++) {
-        h->t = gone += h->t;
-        for (int a = 0; a < 3; a++) from[a] = o[a] + (double)gone / 65536 * d[a];
-        met = !h->cut || over_ground(s, from) <= ORL_GROUND_CUT * 8 * s->nb[0];
-    }
+    double t = 0;
+    if (!s->ground_albedo) return met;
+    int falls = ground_meet(s, o, d, &t);
     if (!met && !falls) return backdrop_meet(s, o, d, opaque, 1e12, h);
     if (met) {
         double hit = (double)h->t / 65536, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
@@ -167,51 +163,134 @@ static int meet(const orl_scene *s, const double o[3], const double d[3], int op
     return 1;
 }
 
-/* Mean of the rays that hit; coverage is their share. The rays of a pixel ask for more and more opaque a backdrop. */
-static void build_pixel(const build_job *j, int x, int y)
+typedef struct {
+    double d[TILE * TILE * RAYS][3];    /* 0: the lens has none */
+    orl_hit hit[TILE * TILE * RAYS];
+    int met[TILE * TILE * RAYS], open[TILE * TILE * RAYS], n;     /* open: rays under way */
+    orl_march march;
+} tile;
+
+/* Marches a tile's rays up to a surface or a low cut; without ground, any cut. */
+static void march_tile(const build_job *j, tile *l, double freely)
+{
+    const orl_scene *s = j->s;
+    int n = 0;
+    for (int i = 0; i < l->n; i++) {
+        l->met[i] = 0;
+        l->hit[i].t = 0;
+        if (l->d[i][0] != 0 || l->d[i][1] != 0 || l->d[i][2] != 0) l->open[n++] = i;
+    }
+    if (freely >= 1e12) n = 0;
+    for (int cuts = 0; n && cuts < (s->ground_albedo ? ORL_CUTS : 1); cuts++) {
+        int left = 0;
+        l->march.n = 0;
+        for (int k = 0; k < n; k++) {
+            int i = l->open[k];
+            double o[3];
+            for (int a = 0; a < 3; a++) o[a] = j->origin[a] + (double)l->hit[i].t / 65536 * l->d[i][a];
+            orl_march_begin(s, o, l->d[i], cuts ? 0 : freely, &l->march);
+        }
+        orl_march_run(s, 1, &l->march);
+        for (int k = 0; k < n; k++) {
+            int i = l->open[k];
+            orl_hit *h = &l->hit[i];
+            int64_t gone = h->t;
+            if (!orl_march_hit(s, &l->march, k, h)) continue;
+            h->t += gone;
+            double x[3];
+            for (int a = 0; a < 3; a++) x[a] = j->origin[a] + (double)h->t / 65536 * l->d[i][a];
+            l->met[i] = !s->ground_albedo || !h->cut || over_ground(s, x) <= ORL_GROUND_CUT * 8 * s->nb[0];
+            if (!l->met[i]) l->open[left++] = i;
+        }
+        n = left;
+    }
+}
+
+typedef struct { uint32_t albedo[3]; int32_t lite[ORL_LITE_BYTES], phi[ORL_SHADOW_DIM]; int64_t t; } sums;
+
+static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t at, const sums *s, int m)
+{
+    const int32_t one = m << 14, half = m << 13;
+    for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
+    v->open[at] = (uint8_t)((s->lite[0] + half) / one);
+    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((uint32_t)(s->lite[1 + i] + half) / (uint32_t)one);
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) v->phi[at * ORL_SHADOW_DIM + (size_t)k] = (int8_t)((s->phi[k] < 0 ? s->phi[k] - half : s->phi[k] + half) / one);     /* half away from zero */
+    int64_t depth = (s->t / m + (1 << 11)) >> 12;
+    v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
+}
+
+/* Mean of the rays that hit; coverage is their share. The rays of a pixel ask for more and more opaque a backdrop. Light changes slowly: a ray that hits the brick which the ray before it hit takes its light.
+ * first: the pixel's first ray. */
+static void build_pixel(const build_job *j, int x, int y, tile *l, int first)
 {
     orl_view *v = j->v;
-    orl_hit h;
-    int hits = 0, rays = j->ss * j->ss;
-    int64_t t = 0;
+    int hits = 0, rays = j->ss * j->ss, brick = -2;
     double n[3] = { 0 };
-    uint32_t albedo[3] = { 0 }, lite[ORL_LITE_BYTES] = { 0 };
-    int32_t phi[ORL_SHADOW_DIM] = { 0 };
+    sums sum = { 0 };
+    int32_t lit[ORL_LITE_BYTES], dark[ORL_SHADOW_DIM];
     for (int k = 0; k < rays; k++) {
-        double d[3];
-        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, rays > 1 ? 2 * k + 1 : 4, &h)) continue;
-        double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
+        const double *d = l->d[first + k];
+        orl_hit *h = &l->hit[first + k];
+        if ((d[0] == 0 && d[1] == 0 && d[2] == 0) || !settle_ray(j->s, j->origin, d, l->met[first + k], rays > 1 ? 2 * k + 1 : 4, h)) continue;
+        if (h->brick >= 0) orl_march_surface(j->s, h);
+        double g[3] = { h->grad[0], h->grad[1], h->grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
         if (len > 0) {
             float facing[3] = { (float)(g[0] / len), (float)(g[1] / len), (float)(g[2] / len) };
             orl_facing_turn(&j->s->facings, facing);
             for (int a = 0; a < 3; a++) n[a] += facing[a];
         }
-        for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];
-        for (int c = 0; c < ORL_LITE_BYTES; c++) lite[c] += h.lite[c];
-        for (int c = 0; c < ORL_SHADOW_DIM; c++) phi[c] += h.phi[c];
-        t += h.t;
+        for (int c = 0; c < 3; c++) sum.albedo[c] += h->albedo[c];
+        if (h->brick != brick) orl_march_light(j->s, h, lit, dark);
+        brick = h->brick;
+        for (int c = 0; c < ORL_LITE_BYTES; c++) sum.lite[c] += lit[c];
+        for (int c = 0; c < ORL_SHADOW_DIM; c++) sum.phi[c] += dark[c];
+        sum.t += h->t;
         hits++;
     }
     if (!hits) return;
     size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-    uint32_t m = (uint32_t)hits, half = m << 15;
     v->normal[at] = palette_of(n);
-    for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((albedo[c] + m / 2) / m);
-    v->open[at] = (uint8_t)((lite[0] + half) / (m << 16));
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
-    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((lite[1 + i] + half) / (m << 16));
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) {      /* rounded half away from zero */
-        int32_t p = phi[k], r = (int32_t)half, den = (int32_t)(m << 16);
-        v->phi[at * ORL_SHADOW_DIM + (size_t)k] = (int8_t)((p < 0 ? p - r : p + r) / den);
+    switch (hits) {         /* constant divisors */
+    case 1: put_means(v, at, &sum, 1); break;
+    case 2: put_means(v, at, &sum, 2); break;
+    case 3: put_means(v, at, &sum, 3); break;
+    case 4: put_means(v, at, &sum, 4); break;
     }
-    int64_t depth = (t / hits + (1 << 11)) >> 12;
-    v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
 }
 
-static void build_rows(void *user, int begin, int end)
+/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. */
+static void build_tile(const build_job *j, int x0, int y0)
+{
+    orl_view *v = j->v;
+    const int ss = j->ss, rays = ss * ss, x1 = x0 + TILE < v->w ? x0 + TILE : v->w, y1 = y0 + TILE < v->h ? y0 + TILE : v->h;
+    double middle[3] = { 0 }, len = 0, spread = 0;
+    tile l;
+    l.n = 0;
+    for (int y = y0; y < y1; y++)
+        for (int x = x0; x < x1; x++)
+            for (int k = 0; k < rays; k++, l.n++) {
+                double *d = l.d[l.n];
+                if (!pixel_dir(v, x + (k % ss + 0.5) / ss, y + (k / ss + 0.5) / ss, d)) d[0] = d[1] = d[2] = 0;
+                for (int a = 0; a < 3; a++) middle[a] += d[a];
+            }
+    for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
+    len = len > 0 ? 1 / sqrt(len) : 0;
+    for (int a = 0; a < 3; a++) middle[a] *= len;
+    for (int i = 0; i < l.n; i++) {
+        double q = 0;
+        for (int a = 0; a < 3; a++) q += (l.d[i][a] - middle[a]) * (l.d[i][a] - middle[a]);
+        spread = q > spread ? q : spread;
+    }
+    march_tile(j, &l, orl_march_freely(j->s, j->origin, middle, sqrt(spread)));
+    int first = 0;
+    for (int y = y0; y < y1; y++) for (int x = x0; x < x1; x++, first += rays) build_pixel(j, x, y, &l, first);
+}
+
+static void build_tiles(void *user, int begin, int end)
 {
     const build_job *j = user;
-    for (int y = begin; y < end; y++) for (int x = 0; x < j->v->w; x++) build_pixel(j, x, y);
+    for (int i = begin; i < end; i++) build_tile(j, i % j->across * TILE, i / j->across * TILE);
 }
 
 static void build_sky(orl_view *v)
@@ -265,7 +344,7 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
     orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
-    build_job j = { s, &v, supersample, { 0 } };
+    build_job j = { s, &v, supersample, (cam->w + TILE - 1) / TILE, { 0 } };
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
     orl_pose_centre(pose, centre);
@@ -280,7 +359,7 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     memset(v.depth, 255, n * sizeof *v.depth);
     if (s->shadow) memcpy(v.phi_scale, s->shadow_scale, sizeof v.phi_scale);
     build_sky(&v);
-    orl_parallel(threads, v.h, GRAIN, build_rows, &j);
+    orl_parallel(threads, j.across * ((v.h + TILE - 1) / TILE), GRAIN, build_tiles, &j);
     *out = v;
     return ORL_OK;
 }
@@ -450,28 +529,40 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
     return 1;
 }
 
-static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const orl_light *l)
-{
-    const float *n = p->normal, *s = l->sun_dir;
-    double o[3], sun[3] = { s[0], s[1], s[2] };
-    orl_hit h;
-    if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !lifted(v, x, y, n, o)) return 0;
-    return !orl_march(v->scene, o, sun, &h);
-}
-
 typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; orl_kernels k; } trace_job;
 
 static void trace_row(const trace_job *j, int y)
 {
     orl_view *v = j->v;
-    const orl_light *l = j->l;
-    for (int x = 0; x < v->w; x++) {
-        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-        orl_sample p;
-        v->fix[at] = 0;
-        if (!v->cov[at] || !v->scene->lite || !(l->sun_dir[2] > 0)) continue;     /* a scene without horizons takes the sun as unhidden */
-        orl_view_sample(v, x, y, &p);
-        v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
+    const float *s = j->l->sun_dir;
+    const double sun[3] = { s[0], s[1], s[2] };
+    orl_march m;
+    int at[ORL_RAYS];
+    memset(v->fix + (size_t)y * (size_t)v->stride, 0, (size_t)v->stride);
+    if (!v->scene->lite || !(s[2] > 0)) return;         /* a scene without horizons takes the sun as unhidden */
+    for (int x = 0; x < v->w; ) {
+        for (m.n = 0; x < v->w && m.n < ORL_RAYS; x++) {
+            size_t here = (size_t)y * (size_t)v->stride + (size_t)x;
+            float n[3];
+            double o[3];
+            if (!v->cov[here]) continue;
+            palette_dir(v->normal[here], n);
+            at[m.n] = x;
+            if (n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0 && lifted(v, x, y, n, o)) orl_march_begin(v->scene, o, sun, 0, &m);
+            else v->fix[here] = -1;
+        }
+        orl_march_run(v->scene, 0, &m);
+        for (int k = 0; k < m.n; k++) v->fix[(size_t)y * (size_t)v->stride + (size_t)at[k]] = m.rays.t[k] < 0 ? 1 : -1;     /* so far */
+    }
+    for (int x = 0; x < v->stride; x += CHUNK) {
+        uint8_t over[CHUNK];
+        size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
+        int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
+        vis_of(j->k.vis, v, v->horizon, &j->over, from, n, over);
+        for (int i = 0; i < n; i++) {
+            int8_t *f = &v->fix[from + (size_t)i];
+            *f = (int8_t)(*f > 0 ? (127 * (255 - over[i]) + 127) / 255 : *f < 0 ? -((127 * over[i] + 127) / 255) : 0);
+        }
     }
 }
 
@@ -511,48 +602,68 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
 
 enum { LOOKS = 18, HALVINGS = 3 };      /* elevations looked at in an azimuth, 5 degrees apart; then each end of the gap is halved so often */
 
-static int open_at(const orl_view *v, const double o[3], float az, float el)
+#define QUARTER_TURN 1.57079633f
+
+static float azimuth_of(int i) { return (float)i * (4 * QUARTER_TURN / ORL_HORIZON); }
+
+static void look_at(const orl_view *v, const double o[3], float az, float el, orl_march *m)
 {
     const double d[3] = { orl_cosf(el) * orl_cosf(az), orl_cosf(el) * orl_sinf(az), orl_sinf(el) };
-    orl_hit h;
-    return !orl_march(v->scene, o, d, &h);
+    orl_march_begin(v->scene, o, d, 0, m);
 }
 
-/* Elevation between shut and open at which the one becomes the other. */
-static float edge(const orl_view *v, const double o[3], float az, float shut, float open)
+/* A pixel's azimuths: at which elevations the sky is open (1), shut (0), or the surface looks away (-1). */
+static void look_around(const orl_view *v, const double o[3], const float n[3], int open[ORL_HORIZON][LOOKS])
 {
-    for (int k = 0; k < HALVINGS; k++) {
-        float mid = 0.5f * (shut + open);
-        if (open_at(v, o, az, mid)) open = mid;
-        else shut = mid;
+    enum { AT_ONCE = ORL_RAYS / LOOKS };
+    orl_march m;
+    for (int first = 0; first < ORL_HORIZON; first += AT_ONCE) {
+        int *of[ORL_RAYS];
+        m.n = 0;
+        for (int i = first; i < first + AT_ONCE && i < ORL_HORIZON; i++) {
+            float az = azimuth_of(i), ahead = n[0] * orl_cosf(az) + n[1] * orl_sinf(az);
+            for (int k = 0; k < LOOKS; k++) {
+                float el = ((float)k + 0.5f) * (QUARTER_TURN / LOOKS);
+                open[i][k] = -1;
+                if (!(orl_cosf(el) * ahead + orl_sinf(el) * n[2] > 0.02f)) continue;
+                of[m.n] = &open[i][k];
+                look_at(v, o, az, el, &m);
+            }
+        }
+        orl_march_run(v->scene, 0, &m);
+        for (int k = 0; k < m.n; k++) *of[k] = m.rays.t[k] < 0;
     }
-    return 0.5f * (shut + open);
 }
 
-/* The widest gap of one azimuth in bytes of a quarter turn. 0: the surface looks away from all of it, and it does not matter. */
-static int gap_of(const orl_view *v, const double o[3], const float n[3], int azimuth, uint8_t *horizon, uint8_t *ceiling)
+/* The widest gap of an azimuth: its first look and how many. 0: the surface looks away from all of it. */
+static int gap_of(int open[LOOKS], int *first, int *looks)
 {
-    const float quarter = 1.57079633f, step = quarter / LOOKS, az = (float)azimuth * (4 * quarter / ORL_HORIZON), ahead = n[0] * orl_cosf(az) + n[1] * orl_sinf(az);
-    int open[LOOKS], best = 0, first = 0, known = 0;
-    for (int k = 0; k < LOOKS; k++) {
-        float el = ((float)k + 0.5f) * step;
-        int faces = orl_cosf(el) * ahead + orl_sinf(el) * n[2] > 0.02f;
-        open[k] = faces ? open_at(v, o, az, el) : -1;
-        known |= faces;
-    }
+    int known = 0;
+    *first = *looks = 0;
+    for (int k = 0; k < LOOKS; k++) known |= open[k] >= 0;
     if (!known) return 0;
     for (int k = 1; k < LOOKS; k++) if (open[k] < 0) open[k] = open[k - 1];         /* where the surface looks away, as next to it */
     for (int k = LOOKS - 2; k >= 0; k--) if (open[k] < 0) open[k] = open[k + 1];
     for (int k = 0, from = 0; k <= LOOKS; k++) {
         if (k < LOOKS && open[k]) continue;
-        if (k - from > best) { best = k - from; first = from; }
+        if (k - from > *looks) { *looks = k - from; *first = from; }
         from = k + 1;
     }
-    float lo = first ? edge(v, o, az, ((float)first - 0.5f) * step, ((float)first + 0.5f) * step) : 0;
-    float hi = first + best < LOOKS ? edge(v, o, az, ((float)(first + best) + 0.5f) * step, ((float)(first + best) - 0.5f) * step) : quarter;
-    *horizon = (uint8_t)(best ? rounded(lo * (255 / quarter)) : 255);
-    *ceiling = (uint8_t)(best ? 255 - rounded(hi * (255 / quarter)) : 0);
     return 1;
+}
+
+typedef struct { int azimuth; float shut, open; } edge;
+
+/* Elevations at which the one becomes the other. */
+static void halve(const orl_view *v, const double o[3], edge *e, int n)
+{
+    orl_march m;
+    for (int h = 0; n && h < HALVINGS; h++) {
+        m.n = 0;
+        for (int k = 0; k < n; k++) look_at(v, o, azimuth_of(e[k].azimuth), 0.5f * (e[k].shut + e[k].open), &m);
+        orl_march_run(v->scene, 0, &m);
+        for (int k = 0; k < n; k++) *(m.rays.t[k] < 0 ? &e[k].open : &e[k].shut) = 0.5f * (e[k].shut + e[k].open);
+    }
 }
 
 static void bake_pixel(const trace_job *j, int x, int y)
@@ -567,7 +678,26 @@ static void bake_pixel(const trace_job *j, int x, int y)
     if (!v->cov[at] || !v->scene->lite) return;
     orl_view_sample(v, x, y, &p);
     if (!lifted(v, x, y, p.normal, o)) return;
-    for (int i = 0; i < ORL_HORIZON; i++) known[i] = gap_of(v, o, p.normal, i, &horizon[(size_t)i * n], &ceiling[(size_t)i * n]);
+    const float step = QUARTER_TURN / LOOKS;
+    int open[ORL_HORIZON][LOOKS], edges = 0, low[ORL_HORIZON], high[ORL_HORIZON];       /* the gap's ends among the edges; -1: horizon and zenith */
+    edge e[2 * ORL_HORIZON];
+    look_around(v, o, p.normal, open);
+    for (int i = 0; i < ORL_HORIZON; i++) {
+        int first, looks;
+        low[i] = high[i] = -1;
+        known[i] = gap_of(open[i], &first, &looks);
+        if (known[i] && !looks) { horizon[(size_t)i * n] = 255; ceiling[(size_t)i * n] = 0; known[i] = 2; }
+        if (known[i] != 1) continue;
+        if (first) { low[i] = edges; e[edges++] = (edge){ i, ((float)first - 0.5f) * step, ((float)first + 0.5f) * step }; }
+        if (first + looks < LOOKS) { high[i] = edges; e[edges++] = (edge){ i, ((float)(first + looks) + 0.5f) * step, ((float)(first + looks) - 0.5f) * step }; }
+    }
+    halve(v, o, e, edges);
+    for (int i = 0; i < ORL_HORIZON; i++) {
+        if (known[i] != 1) continue;
+        float lo = low[i] < 0 ? 0 : 0.5f * (e[low[i]].shut + e[low[i]].open), hi = high[i] < 0 ? QUARTER_TURN : 0.5f * (e[high[i]].shut + e[high[i]].open);
+        horizon[(size_t)i * n] = (uint8_t)rounded(lo * (255 / QUARTER_TURN));
+        ceiling[(size_t)i * n] = (uint8_t)(255 - rounded(hi * (255 / QUARTER_TURN)));
+    }
     for (int i = 0; i < ORL_HORIZON; i++)
         for (int off = 1; !known[i] && off < ORL_HORIZON; off++) {                   /* as the nearest azimuth that it faces; the first of two */
             size_t to = (size_t)i * n, from = (size_t)((i + (off & 1 ? (off + 1) / 2 : ORL_HORIZON - off / 2)) & (ORL_HORIZON - 1));
