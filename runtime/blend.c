@@ -181,7 +181,7 @@ static void set_fade(orl_blend *b, const orl_camera *photo, const orl_camera *wi
 }
 
 orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, const orl_camera *wide, const orl_pose *wide_pose,
-                       const uint8_t *cov, size_t cov_stride, const uint8_t *mask, void *block, size_t bytes, orl_blend **out)
+                       const uint8_t *mask, void *block, size_t bytes, orl_blend **out)
 {
     double a[3], c[3], turn[9], gap = 0, size = 0;
     if (bytes < orl_blend_need(wide->w, wide->h)) return orl_fail(ORL_E_MEMORY, "blend: the block is too small");
@@ -208,7 +208,6 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     if (b->box_y > b->ph * 256) b->box_y = b->ph * 256;
     uint64_t area = (uint64_t)b->box_x * (uint64_t)b->box_y;
     b->inverse = (((uint64_t)1 << 40) + area / 2) / area;
-    for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
     for (int x = 0; x < b->w; x++) {
         int step = x / ORL_MIX_STEP * ORL_MIX_STEP, left = step < b->cell / 2 ? 0 : (step - b->cell / 2) / b->cell;
         left = b->gw > 1 ? clampi(left, 0, b->gw - 2) : 0;
@@ -219,6 +218,11 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     set_fade(b, photo, wide, turn);
     *out = b;
     return ORL_OK;
+}
+
+void orl_blend_layers(orl_blend *b, const uint8_t *cov, size_t cov_stride)
+{
+    for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
 }
 
 void orl_blend_covered(const orl_blend *b, int y, int *x0, int *x1) { *x0 = b->in0[y]; *x1 = b->in1[y]; }

@@ -130,12 +130,33 @@ static void gradient(const orl_scene *s, const int32_t p[3], int32_t own, int32_
     }
 }
 
-/* Boxes without bricks are passed one after the other, the ball of radius t spread in each of them; beyond the grid everything is free. */
+enum { STRIDE = 8 };
+
+/* Whether the box round what the ball sweeps in the next STRIDE cells holds bricks, or too many places to look at. */
+static int brick_on_way(const orl_scene *s, const double o[3], const double d[3], double spread, double t)
+{
+    int lo[3], hi[3];
+    for (int a = 0; a < 3; a++) {
+        double p = o[a] + t * d[a], q = o[a] + (t + STRIDE) * d[a], r = t * spread, e = (t + STRIDE) * spread, nb = s->nb[a];
+        double low = (p - r < q - e ? p - r : q - e) / 8, high = (p + r > q + e ? p + r : q + e) / 8;
+        if (!(high - low < 4)) return 1;
+        lo[a] = low > 0 ? low < nb ? (int)low : (int)nb : 0;
+        hi[a] = high < 0 ? -1 : high < nb ? (int)high : (int)nb - 1;
+    }
+    for (int z = lo[2]; z <= hi[2]; z++)
+        for (int y = lo[1]; y <= hi[1]; y++) {
+            const int32_t *row = s->bmap + ((size_t)z * s->nb[1] + (size_t)y) * s->nb[0];
+            for (int x = lo[0]; x <= hi[0]; x++) if (row[x] >= 0) return 1;
+        }
+    return 0;
+}
+
+/* Boxes without bricks are passed one after the other, the ball of radius t spread in each of them, or where they are small the places that it sweeps; beyond the grid everything is free. */
 double orl_march_freely(const orl_scene *s, const double o[3], const double d[3], double spread)
 {
     const double never = 1e12;
     double t = 0;
-    for (int k = 0; k < 64; k++) {
+    for (int k = 0; k < 256; k++) {
         double c[3], next = 0;
         int beside = 0, at[3];
         for (int a = 0; a < 3; a++) {
@@ -152,15 +173,15 @@ double orl_march_freely(const orl_scene *s, const double o[3], const double d[3]
         }
         if (!beside) {
             int32_t b = s->bmap[((size_t)at[2] * s->nb[1] + (size_t)at[1]) * s->nb[0] + (size_t)at[0]];
-            if (b >= 0) break;
-            next = never;
-            for (int a = 0; a < 3; a++) {
+            next = b < 0 ? never : 0;
+            for (int a = 0; b < 0 && a < 3; a++) {
                 int lo = at[a] + b + 1, hi = at[a] - b;
                 double up = hi < (int)s->nb[a] && d[a] + spread > 0 ? (8.0 * hi - o[a]) / (d[a] + spread) : never, down = lo > 0 && spread - d[a] > 0 ? (o[a] - 8.0 * lo) / (spread - d[a]) : never;
                 next = up < next ? up : next;
                 next = down < next ? down : next;
             }
         }
+        if (!(next > t + STRIDE) && !brick_on_way(s, o, d, spread, t)) next = t + STRIDE;
         if (!(next > t + 0.5)) break;
         if (next >= never) return never;
         t = next;
@@ -191,6 +212,7 @@ static inline void weights(const int32_t f[3], int16_t w[8])
 
 void orl_march_light(const orl_scene *s, const orl_hit *h, int32_t lite[ORL_LITE_BYTES], int32_t phi[ORL_SHADOW_DIM])
 {
+    static const size_t CORNER[8] = { 0, 1, 3, 4, 9, 10, 12, 13 };
     int32_t q[3], f[3];
     int16_t w[8];
     memset(lite, 0, ORL_LITE_BYTES * sizeof *lite);
@@ -205,16 +227,18 @@ void orl_march_light(const orl_scene *s, const orl_hit *h, int32_t lite[ORL_LITE
         first = first * 3 + i;
     }
     weights(f, w);
-    for (int k = 0; k < 8; k++) {
-        size_t v = (size_t)h->brick * ORL_LITE_VERTS + (size_t)(first + (k & 1) + 3 * (k >> 1 & 1) + 9 * (k >> 2));
-        if (s->lite) {
-            const uint8_t *l = s->lite + v * ORL_LITE_BYTES;
-            for (int c = 0; c < ORL_LITE_BYTES - 1; c++) lite[c] += w[k] * (int16_t)l[c];
-            lite[ORL_LITE_BYTES - 1] += w[k] * l[ORL_LITE_BYTES - 1];
-        }
-        if (s->shadow) {
-            const int8_t *p = s->shadow + v * ORL_SHADOW_DIM;
-            for (int c = 0; c < ORL_SHADOW_DIM; c++) phi[c] += w[k] * (int16_t)p[c];
-        }
+    int32_t open = 0, horizon[ORL_HORIZON] = { 0 }, dark[ORL_SHADOW_DIM] = { 0 };
+    const size_t v = (size_t)h->brick * ORL_LITE_VERTS + (size_t)first;
+    for (int k = 0; s->lite && k < 8; k++) {
+        const uint8_t *l = s->lite + (v + CORNER[k]) * ORL_LITE_BYTES;
+        open += w[k] * l[0];
+        for (int c = 0; c < ORL_HORIZON; c++) horizon[c] += w[k] * (int16_t)l[1 + c];
     }
+    for (int k = 0; s->shadow && k < 8; k++) {
+        const int8_t *p = s->shadow + (v + CORNER[k]) * ORL_SHADOW_DIM;
+        for (int c = 0; c < ORL_SHADOW_DIM; c++) dark[c] += w[k] * (int16_t)p[c];
+    }
+    if (s->lite) lite[0] = open;
+    memcpy(lite + 1, horizon, sizeof horizon);
+    memcpy(phi, dark, sizeof dark);
 }

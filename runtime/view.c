@@ -86,7 +86,7 @@ static void palette_dir(int index, float n[3])
 
 enum { TILE = 8, RAYS = 4 };        /* TILE: pixels a side that set out together; RAYS: a pixel's at most */
 
-typedef struct { const orl_scene *s; orl_view *v; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
+typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
 
 /* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
@@ -271,7 +271,8 @@ static void build_tile(const build_job *j, int x0, int y0)
         for (int x = x0; x < x1; x++)
             for (int k = 0; k < rays; k++, l.n++) {
                 double *d = l.d[l.n];
-                if (!pixel_dir(v, x + (k % ss + 0.5) / ss, y + (k / ss + 0.5) / ss, d)) d[0] = d[1] = d[2] = 0;
+                int wanted = !j->wanted || j->wanted[(size_t)y * (size_t)v->w + (size_t)x];
+                if (!wanted || !pixel_dir(v, x + (k % ss + 0.5) / ss, y + (k / ss + 0.5) / ss, d)) d[0] = d[1] = d[2] = 0;
                 for (int a = 0; a < 3; a++) middle[a] += d[a];
             }
     for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
@@ -280,8 +281,9 @@ static void build_tile(const build_job *j, int x0, int y0)
     for (int i = 0; i < l.n; i++) {
         double q = 0;
         for (int a = 0; a < 3; a++) q += (l.d[i][a] - middle[a]) * (l.d[i][a] - middle[a]);
-        spread = q > spread ? q : spread;
+        if (l.d[i][0] != 0 || l.d[i][1] != 0 || l.d[i][2] != 0) spread = q > spread ? q : spread;
     }
+    if (!(len > 0)) return;             /* no ray, or rays all round: a lens that no camera has */
     march_tile(j, &l, orl_march_freely(j->s, j->origin, middle, sqrt(spread)));
     int first = 0;
     for (int y = y0; y < y1; y++) for (int x = x0; x < x1; x++, first += rays) build_pixel(j, x, y, &l, first);
@@ -334,6 +336,11 @@ static int all_finite(const double *v, int n) { for (int i = 0; i < n; i++) if (
 
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out)
 {
+    return orl_view_build_some(s, cam, pose, supersample, NULL, threads, block, bytes, out);
+}
+
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out)
+{
     const double lens[] = { cam->fx, cam->fy, cam->cx, cam->cy, cam->k1, cam->k2, cam->p1, cam->p2 }, *R = pose->R, *m = s->world_to_grid;
     if (!s->bmap) return orl_fail(ORL_E_DEGENERATE, "view: the scene has no geometry (a sky file?)");
     if (cam->w < 1 || cam->h < 1 || cam->w > 65535 || cam->h > 65535) return orl_fail(ORL_E_RANGE, "view: size %d x %d", cam->w, cam->h);
@@ -344,7 +351,7 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
     orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
-    build_job j = { s, &v, supersample, (cam->w + TILE - 1) / TILE, { 0 } };
+    build_job j = { s, &v, wanted, supersample, (cam->w + TILE - 1) / TILE, { 0 } };
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
     orl_pose_centre(pose, centre);

@@ -28,6 +28,8 @@ int orl_view_stride(int w);                                         /* pixels of
 size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
 /* Marches every pixel; supersample 1 or 2 (2: four rays a pixel, attributes averaged, coverage counted). Bit-identical for any thread count. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
+/* The same of pixels that are wanted alone ([h][w], nonzero; NULL: all): the others hold sky. */
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out);
 
 /* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
  * ceiling: [16][stride h], the caller's, zeroed; v->ceiling when all rows are done. Bit-identical for any thread count. */
