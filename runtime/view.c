@@ -84,7 +84,8 @@ static void palette_dir(int index, float n[3])
 
 /* ---- building */
 
-enum { TILE = 8, RAYS = 4 };        /* TILE: pixels a side that set out together; RAYS: a pixel's at most */
+enum { TILE = 15, TILE_RAYS = (TILE + 1) * (TILE + 1) };       /* pixels a side whose rays set out together */
+_Static_assert((int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
 
 typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
 
@@ -164,9 +165,10 @@ static int settle_ray(const orl_scene *s, const double o[3], const double d[3], 
 }
 
 typedef struct {
-    double d[TILE * TILE * RAYS][3];    /* 0: the lens has none */
-    orl_hit hit[TILE * TILE * RAYS];
-    int met[TILE * TILE * RAYS], open[TILE * TILE * RAYS], n;     /* open: rays under way */
+    double d[TILE_RAYS][3];    /* 0: the lens has none */
+    orl_hit hit[TILE_RAYS];
+    float n[TILE_RAYS][3];
+    int met[TILE_RAYS], open[TILE_RAYS], count;     /* open: rays under way */
     orl_march march;
 } tile;
 
@@ -175,7 +177,7 @@ static void march_tile(const build_job *j, tile *l, double freely)
 {
     const orl_scene *s = j->s;
     int n = 0;
-    for (int i = 0; i < l->n; i++) {
+    for (int i = 0; i < l->count; i++) {
         l->met[i] = 0;
         l->hit[i].t = 0;
         if (l->d[i][0] != 0 || l->d[i][1] != 0 || l->d[i][2] != 0) l->open[n++] = i;
@@ -219,9 +221,23 @@ static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t 
     v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
 }
 
-/* Mean of the rays that hit; coverage is their share. The rays of a pixel ask for more and more opaque a backdrop. Light changes slowly: a ray that hits the brick which the ray before it hit takes its light.
- * first: the pixel's first ray. */
-static void build_pixel(const build_job *j, int x, int y, tile *l, int first)
+/* What a ray met: its unit normal, turned, in n; (0, 0, 0) where the SDF is flat. */
+static int see(const build_job *j, tile *l, int i, int opaque)
+{
+    const double *d = l->d[i];
+    orl_hit *h = &l->hit[i];
+    memset(l->n[i], 0, sizeof l->n[i]);
+    if ((d[0] == 0 && d[1] == 0 && d[2] == 0) || !settle_ray(j->s, j->origin, d, l->met[i], opaque, h)) return 0;
+    if (h->brick >= 0) orl_march_surface(j->s, h);
+    double g[3] = { h->grad[0], h->grad[1], h->grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
+    if (!(len > 0)) return 1;
+    for (int a = 0; a < 3; a++) l->n[i][a] = (float)(g[a] / len);
+    orl_facing_turn(&j->s->facings, l->n[i]);
+    return 1;
+}
+
+/* Mean of the rays that hit; coverage is their share. Light changes slowly: a ray that hits the brick which the ray before it hit takes its light. of: the pixel's rays. */
+static void build_pixel(const build_job *j, int x, int y, const tile *l, const int *of)
 {
     orl_view *v = j->v;
     int hits = 0, rays = j->ss * j->ss, brick = -2;
@@ -229,16 +245,9 @@ static void build_pixel(const build_job *j, int x, int y, tile *l, int first)
     sums sum = { 0 };
     int32_t lit[ORL_LITE_BYTES], dark[ORL_SHADOW_DIM];
     for (int k = 0; k < rays; k++) {
-        const double *d = l->d[first + k];
-        orl_hit *h = &l->hit[first + k];
-        if ((d[0] == 0 && d[1] == 0 && d[2] == 0) || !settle_ray(j->s, j->origin, d, l->met[first + k], rays > 1 ? 2 * k + 1 : 4, h)) continue;
-        if (h->brick >= 0) orl_march_surface(j->s, h);
-        double g[3] = { h->grad[0], h->grad[1], h->grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
-        if (len > 0) {
-            float facing[3] = { (float)(g[0] / len), (float)(g[1] / len), (float)(g[2] / len) };
-            orl_facing_turn(&j->s->facings, facing);
-            for (int a = 0; a < 3; a++) n[a] += facing[a];
-        }
+        const orl_hit *h = &l->hit[of[k]];
+        if (!l->met[of[k]]) continue;
+        for (int a = 0; a < 3; a++) n[a] += l->n[of[k]][a];
         for (int c = 0; c < 3; c++) sum.albedo[c] += h->albedo[c];
         if (h->brick != brick) orl_march_light(j->s, h, lit, dark);
         brick = h->brick;
@@ -259,34 +268,43 @@ static void build_pixel(const build_job *j, int x, int y, tile *l, int first)
     }
 }
 
-/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. */
+/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. One ray a pixel runs through its middle; four run through its corners, and neighbours
+ * share them. */
 static void build_tile(const build_job *j, int x0, int y0)
 {
     orl_view *v = j->v;
-    const int ss = j->ss, rays = ss * ss, x1 = x0 + TILE < v->w ? x0 + TILE : v->w, y1 = y0 + TILE < v->h ? y0 + TILE : v->h;
+    const int w = x0 + TILE < v->w ? TILE : v->w - x0, h = y0 + TILE < v->h ? TILE : v->h - y0, more = j->ss - 1, cols = w + more, rows = h + more;
     double middle[3] = { 0 }, len = 0, spread = 0;
     tile l;
-    l.n = 0;
-    for (int y = y0; y < y1; y++)
-        for (int x = x0; x < x1; x++)
-            for (int k = 0; k < rays; k++, l.n++) {
-                double *d = l.d[l.n];
-                int wanted = !j->wanted || j->wanted[(size_t)y * (size_t)v->w + (size_t)x];
-                if (!wanted || !pixel_dir(v, x + (k % ss + 0.5) / ss, y + (k / ss + 0.5) / ss, d)) d[0] = d[1] = d[2] = 0;
-                for (int a = 0; a < 3; a++) middle[a] += d[a];
-            }
-    for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
-    len = len > 0 ? 1 / sqrt(len) : 0;
-    for (int a = 0; a < 3; a++) middle[a] *= len;
-    for (int i = 0; i < l.n; i++) {
-        double q = 0;
-        for (int a = 0; a < 3; a++) q += (l.d[i][a] - middle[a]) * (l.d[i][a] - middle[a]);
-        if (l.d[i][0] != 0 || l.d[i][1] != 0 || l.d[i][2] != 0) spread = q > spread ? q : spread;
+    l.count = cols * rows;
+    memset(l.open, 0, sizeof l.open);
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int wanted = !j->wanted || j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)];
+            for (int k = 0; k <= 3 * more; k++) l.open[(y + (k >> 1)) * cols + x + (k & 1)] |= wanted;
+        }
+    for (int i = 0; i < l.count; i++) {
+        double *d = l.d[i];
+        if (!l.open[i] || !pixel_dir(v, x0 + i % cols + 0.5 * !more, y0 + i / cols + 0.5 * !more, d)) d[0] = d[1] = d[2] = 0;
+        for (int a = 0; a < 3; a++) middle[a] += d[a];
     }
+    for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
     if (!(len > 0)) return;             /* no ray, or rays all round: a lens that no camera has */
+    len = 1 / sqrt(len);
+    for (int a = 0; a < 3; a++) middle[a] *= len;
+    for (int i = 0; i < l.count; i++) {
+        const double *d = l.d[i];
+        double q = (d[0] - middle[0]) * (d[0] - middle[0]) + (d[1] - middle[1]) * (d[1] - middle[1]) + (d[2] - middle[2]) * (d[2] - middle[2]);
+        if (q > spread && (d[0] != 0 || d[1] != 0 || d[2] != 0)) spread = q;
+    }
     march_tile(j, &l, orl_march_freely(j->s, j->origin, middle, sqrt(spread)));
-    int first = 0;
-    for (int y = y0; y < y1; y++) for (int x = x0; x < x1; x++, first += rays) build_pixel(j, x, y, &l, first);
+    for (int i = 0; i < l.count; i++) l.met[i] = see(j, &l, i, more ? 2 * ((x0 + i % cols) % 2 + 2 * ((y0 + i / cols) % 2)) + 1 : 4);     /* so that the rays of a pixel ask for more and more opaque a backdrop */
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int at = y * cols + x, of[4] = { at, at + 1, at + cols, at + cols + 1 };
+            if (j->wanted && !j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)]) continue;
+            build_pixel(j, x0 + x, y0 + y, &l, of);
+        }
 }
 
 static void build_tiles(void *user, int begin, int end)
