@@ -123,7 +123,7 @@ static void test_coverage(void **state)
         int n = 0, skip = 0;
         for (int k = 0; k < 4; k++) {
             double c[3], d[3] = { 0 }, normal[3];
-            orl_camera_unproject(&cam, x + 0.25 + 0.5 * (k & 1), y + 0.25 + 0.5 * (k >> 1), c);
+            orl_camera_unproject(&cam, x + (k & 1), y + (k >> 1), c);
             double len = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
             for (int a = 0; a < 3; a++) for (int i = 0; i < 3; i++) d[a] += b.v.grid_from_cam[3 * a + i] * c[i] / len;
             n += analytic(eye, d, normal) > 0;
