@@ -191,13 +191,20 @@ double orl_march_freely(const orl_scene *s, const double o[3], const double d[3]
 
 void orl_march_surface(const orl_scene *s, orl_hit *h)
 {
-    int32_t q[3];
-    uint32_t entry = s->skin[h->brick];
     gradient(s, h->at, h->brick, h->grad);
-    local(h->at, h->at, q);
-    int face = orl_skin_face(orl_skin_mask(entry), h->grad);
-    orl_skin_colour(s->albedo + (size_t)orl_skin_texture(entry, face) * ORL_SKIN_TEXELS * 3, face, q, h->albedo);
+    orl_march_colour(s, h->brick, h->grad, h->at, h->albedo);
 }
+
+void orl_march_colour(const orl_scene *s, int32_t brick, const int32_t grad[3], const int32_t at[3], uint32_t rgb[3])
+{
+    int32_t q[3];
+    uint32_t entry = s->skin[brick];
+    int face = orl_skin_face(orl_skin_mask(entry), grad);
+    local(at, at, q);
+    orl_skin_colour(s->albedo + (size_t)orl_skin_texture(entry, face) * ORL_SKIN_TEXELS * 3, face, q, rgb);
+}
+
+int32_t orl_march_brick(const orl_scene *s, const int32_t at[3]) { return brick_of(s, at); }
 
 /* Eight corner weights that sum to 2^14 exactly: the last takes what rounding left. */
 static inline void weights(const int32_t f[3], int16_t w[8])

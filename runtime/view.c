@@ -236,6 +236,25 @@ static int see(const build_job *j, tile *l, int i, int opaque)
     return 1;
 }
 
+/* Four corners' mean would blur base colour: half of it is that of the middle between the hits, if it lies in a brick of theirs. albedo: the four's sum. */
+static void add_middle(const orl_scene *s, const tile *l, const int *of, uint32_t albedo[3])
+{
+    int32_t at[3] = { 0 };
+    uint32_t rgb[3];
+    for (int k = 0; k < 4; k++) {
+        if (l->hit[of[k]].brick < 0) return;
+        for (int a = 0; a < 3; a++) at[a] += l->hit[of[k]].at[a];       /* below 2^24 each */
+    }
+    for (int a = 0; a < 3; a++) at[a] >>= 2;
+    int32_t brick = orl_march_brick(s, at);
+    for (int k = 0; k < 4; k++) {
+        if (l->hit[of[k]].brick != brick) continue;
+        orl_march_colour(s, brick, l->hit[of[k]].grad, at, rgb);
+        for (int c = 0; c < 3; c++) albedo[c] = (albedo[c] + 1) / 2 + 2 * rgb[c];
+        return;
+    }
+}
+
 /* Mean of the rays that hit; coverage is their share. Light changes slowly: a ray that hits the brick which the ray before it hit takes its light. of: the pixel's rays. */
 static void build_pixel(const build_job *j, int x, int y, const tile *l, const int *of)
 {
@@ -257,6 +276,7 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
         hits++;
     }
     if (!hits) return;
+    if (rays > 1 && hits == rays) add_middle(j->s, l, of, sum.albedo);
     size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
     v->normal[at] = palette_of(n);
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
@@ -554,41 +574,81 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
     return 1;
 }
 
-typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; orl_kernels k; } trace_job;
+typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; orl_kernels k; uint8_t faces[ORL_PAL]; } trace_job;    /* faces: the palette's normals that look at the sun */
 
-static void trace_row(const trace_job *j, int y)
+enum { NOTHING, SEEN, HIDDEN, AWAY };   /* the sun, of a pixel: no surface, no ray that hits, one that does, a surface that looks away */
+typedef struct { orl_march m; int8_t *to[ORL_RAYS]; } questions;
+
+static void answer(const trace_job *j, questions *q)
 {
-    orl_view *v = j->v;
+    orl_march_run(j->v->scene, 0, &q->m);
+    for (int k = 0; k < q->m.n; k++) *q->to[k] = q->m.rays.t[k] < 0 ? SEEN : HIDDEN;
+    q->m.n = 0;
+}
+
+static void ask(const trace_job *j, int x, int y, int8_t *to, questions *q)
+{
+    const orl_view *v = j->v;
     const float *s = j->l->sun_dir;
-    const double sun[3] = { s[0], s[1], s[2] };
-    orl_march m;
-    int at[ORL_RAYS];
-    memset(v->fix + (size_t)y * (size_t)v->stride, 0, (size_t)v->stride);
-    if (!v->scene->lite || !(s[2] > 0)) return;         /* a scene without horizons takes the sun as unhidden */
-    for (int x = 0; x < v->w; ) {
-        for (m.n = 0; x < v->w && m.n < ORL_RAYS; x++) {
-            size_t here = (size_t)y * (size_t)v->stride + (size_t)x;
-            float n[3];
-            double o[3];
-            if (!v->cov[here]) continue;
-            palette_dir(v->normal[here], n);
-            at[m.n] = x;
-            if (n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0 && lifted(v, x, y, n, o)) orl_march_begin(v->scene, o, sun, 0, &m);
-            else v->fix[here] = -1;
+    size_t here = (size_t)y * (size_t)v->stride + (size_t)x;
+    float n[3];
+    double o[3];
+    *to = NOTHING;
+    if (!v->cov[here]) return;
+    *to = AWAY;
+    palette_dir(v->normal[here], n);
+    if (!j->faces[v->normal[here]] || !lifted(v, x, y, n, o)) return;
+    if (q->m.n == ORL_RAYS) answer(j, q);
+    q->to[q->m.n] = to;
+    orl_march_begin(v->scene, o, (const double[3]){ s[0], s[1], s[2] }, 0, &q->m);
+}
+
+static void ask_row(const trace_job *j, int y, int8_t *row, questions *q)
+{
+    for (int x = 0; x < j->v->w; x += 2) ask(j, x, y, &row[x / 2], q);
+    answer(j, q);
+}
+
+/* Rows [begin, end): of every other pixel of every other row a ray goes to the sun. Between them a pixel that looks at the sun believes what its two or four neighbours all say, or asks for itself. */
+static void trace_band(const trace_job *j, int begin, int end)
+{
+    enum { HALF = 32768 };
+    orl_view *v = j->v;
+    int8_t rows[2][HALF + 1], *up = rows[0], *down = rows[1];
+    questions q;
+    q.m.n = 0;
+    memset(v->fix + (size_t)begin * (size_t)v->stride, 0, (size_t)(end - begin) * (size_t)v->stride);
+    if (!v->scene->lite || !(j->l->sun_dir[2] > 0)) return;         /* a scene without horizons takes the sun as unhidden */
+    ask_row(j, begin & ~1, down, &q);
+    for (int y = begin; y < end; y++) {
+        int8_t *fix = v->fix + (size_t)y * (size_t)v->stride, *was = up;
+        if (!(y & 1) || y == begin) {
+            up = down;
+            down = was;
         }
-        orl_march_run(v->scene, 0, &m);
-        for (int k = 0; k < m.n; k++) v->fix[(size_t)y * (size_t)v->stride + (size_t)at[k]] = m.rays.t[k] < 0 ? 1 : -1;     /* so far */
-    }
-    for (int x = 0; x < v->stride; x += CHUNK) {
-        uint8_t over[CHUNK];
-        size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
-        int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        vis_of(j->k.vis, v, v->horizon, &j->over, from, n, over);
-        for (int i = 0; i < n; i++) {
-            int8_t *f = &v->fix[from + (size_t)i];
-            *f = (int8_t)(*f > 0 ? (127 * (255 - over[i]) + 127) / 255 : *f < 0 ? -((127 * over[i] + 127) / 255) : 0);
+        if (y & 1 && y + 1 < v->h) ask_row(j, y + 1, down, &q);
+        const int8_t *below = y & 1 && y + 1 < v->h ? down : up;
+        for (int x = 0; x < v->w; x++) {
+            int i = x / 2, k = x & 1 && x + 1 < v->w ? i + 1 : i;
+            if (!(x & 1) && !(y & 1)) fix[x] = up[i];
+            else if (!v->cov[(size_t)y * (size_t)v->stride + (size_t)x]) fix[x] = NOTHING;
+            else if (!j->faces[v->normal[(size_t)y * (size_t)v->stride + (size_t)x]]) fix[x] = AWAY;
+            else if ((up[i] == SEEN || up[i] == HIDDEN) && up[k] == up[i] && below[i] == up[i] && below[k] == up[i]) fix[x] = up[i];
+            else ask(j, x, y, &fix[x], &q);
         }
+        answer(j, &q);
     }
+    for (int y = begin; y < end; y++)
+        for (int x = 0; x < v->stride; x += CHUNK) {
+            uint8_t over[CHUNK];
+            size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
+            int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
+            vis_of(j->k.vis, v, v->horizon, &j->over, from, n, over);
+            for (int i = 0; i < n; i++) {
+                int8_t *f = &v->fix[from + (size_t)i];
+                *f = (int8_t)(*f == NOTHING ? 0 : *f == SEEN ? (127 * (255 - over[i]) + 127) / 255 : -((127 * over[i] + 127) / 255));
+            }
+        }
 }
 
 /* As the horizon's, from above: what a ceiling takes of a baked pixel's sun. */
@@ -609,7 +669,8 @@ static void look_up_row(const trace_job *j, int y)
 static void trace_rows(void *user, int begin, int end)
 {
     const trace_job *j = user;
-    for (int y = j->y0 + begin; y < j->y0 + end; y++) (j->v->ceiling ? look_up_row : trace_row)(j, y);
+    if (!j->v->ceiling) trace_band(j, j->y0 + begin, j->y0 + end);
+    else for (int y = j->y0 + begin; y < j->y0 + end; y++) look_up_row(j, y);
 }
 
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads)
@@ -620,7 +681,12 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
     j.under = j.over;
     j.under.sun = QUARTER + ORL_VIS_SPAN - j.over.sun;              /* pi / 2 - elevation + half the soft sun */
     if (j.under.sun < ORL_VIS_SPAN) j.under.sun = ORL_VIS_SPAN;     /* nothing overhead hides nothing */
-    orl_parallel(threads, y1 - y0, GRAIN, trace_rows, &j);
+    for (int i = 0; i < ORL_PAL; i++) {
+        float n[3];
+        palette_dir(i, n);
+        j.faces[i] = n[0] * l->sun_dir[0] + n[1] * l->sun_dir[1] + n[2] * l->sun_dir[2] > 0;
+    }
+    orl_parallel(threads, y1 - y0, 4 * GRAIN, trace_rows, &j);
 }
 
 /* ---- baking */
