@@ -5,8 +5,9 @@
 #include <math.h>
 #include <string.h>
 #include "oriel/math.h"
+#include "oriel/parallel.h"
 
-enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400 };
+enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400, PARTS = 4, PART_LEAST = 150 };        /* PARTS: samples are summed in, from PART_LEAST each on */
 typedef float v4 __attribute__((vector_size(16)));
 #define PI 3.14159265f
 #define TAU_COARSE 1.0f     /* scale of the robust weights on the residual's RGB norm: first and last of the coarse stage, */
@@ -21,20 +22,28 @@ typedef struct {
     double weight, kept, square;    /* sums: of weights, of robust weights, of robustly weighted squares */
 } normal;
 
+/* What a part of the samples adds to them. rho: robust costs at the two scales. */
+typedef struct {
+    v4 h[N][BLOCKS], across[ORL_C_TONE][3], within[3][LANES];       /* across: light x a channel's tone; within: its tone x itself; lanes as tone_entry */
+    float g[N];
+    double rho, rho_before, weight, kept, square;
+} part;
+
 typedef struct {
     orl_light light;
     orl_light_jac jac;
     normal eq[2];
-    v4 across[ORL_C_TONE][3], within[3][LANES];     /* of the normal equations: light x a channel's tone, its tone x itself; lanes as tone_entry */
+    part parts[PARTS];
     double l[N][N];
     const orl_light_model *m;
     const orl_sample *s;
     size_t n;
     float prior_weight, sigma;
+    int threads;
     uint8_t fixed[N];
 } state;
 
-orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 0 }; }
+orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 1, 0 }; }
 size_t orl_adapt_need(void) { return (sizeof(state) + 63) & ~(size_t)63; }
 
 static float clampf(float x, float lo, float hi) { return x > lo ? x < hi ? x : hi : lo; }
@@ -81,7 +90,7 @@ static void believe_in_sky(state *w, normal *q)
 /* Entry of a channel's tone: k 0..2 its row of A, 3 its b. */
 static int tone_entry(int c, int k) { return k < 3 ? ORL_C_TONE + 3 * c + k : ORL_C_TONE + 9 + c; }
 
-static void place_tone(const state *w, normal *q)
+static void place_tone(const part *w, normal *q)
 {
     for (int c = 0; c < 3; c++)
         for (int k = 0; k < LANES; k++) {
@@ -91,56 +100,96 @@ static void place_tone(const state *w, normal *q)
         }
 }
 
-static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
+typedef struct { state *w; float t2, b2; size_t stride; int parts; } summing;
+
+/* Sums part k of the samples. */
+static void add_part(const summing *j, int k)
 {
+    state *w = j->w;
+    part *q = &w->parts[k];
+    size_t count = (w->n + j->stride - 1) / j->stride, from = count * (size_t)k / (size_t)j->parts, to = count * (size_t)(k + 1) / (size_t)j->parts;
     memset(q, 0, sizeof *q);
-    memset(w->across, 0, sizeof w->across);
-    memset(w->within, 0, sizeof w->within);
-    orl_light_decode(w->m, code, &w->light);
-    orl_light_jac_decode(w->m, &w->light, &w->jac);
-    float t2 = tau * tau, b2 = tau_before * tau_before;
-    double rho = 0, rho_before = 0;
-    for (size_t i = 0; i < w->n; i += stride) {
-        const orl_sample *s = &w->s[i];
+    for (size_t i = from; i < to; i++) {
+        const orl_sample *s = &w->s[i * j->stride];
         if (!usable(s)) continue;
         float rgb[3], J[3][N], r[3], e2 = 0;
         orl_light_shade_jac(&w->light, &w->jac, s, rgb, J);
-        v4 j[3][BLOCKS] = { { { 0 } } };
+        v4 d[3][BLOCKS] = { { { 0 } } };
         for (int c = 0; c < 3; c++) {
             r[c] = rgb[c] - s->rgb[c];
             if (r[c] > 0 && s->rgb[c] >= 250.0f / 255) { r[c] = 0; continue; }  /* saturated: any brighter model fits, and the row stays zero */
-            memcpy(j[c], J[c], sizeof J[c]);
+            memcpy(d[c], J[c], sizeof J[c]);
             e2 += r[c] * r[c];
         }
-        float share = t2 / (e2 + t2), a = s->weight * share * share;
-        rho += s->weight * e2 * share;
-        rho_before += s->weight * e2 * (b2 / (e2 + b2));
+        float share = j->t2 / (e2 + j->t2), a = s->weight * share * share;
+        q->rho += s->weight * e2 * share;
+        q->rho_before += s->weight * e2 * (j->b2 / (e2 + j->b2));
         q->weight += s->weight;
         q->kept += a;
         q->square += a * e2;
-        const float *j0 = (const float *)j[0], *j1 = (const float *)j[1], *j2 = (const float *)j[2];
+        const float *j0 = (const float *)d[0], *j1 = (const float *)d[1], *j2 = (const float *)d[2];
         v4 tone[3];                                                             /* a channel's own tone: three of A, one of b; other channels' is nothing to it */
         for (int c = 0; c < 3; c++) {
-            const float *t = (const float *)j[c] + ORL_C_TONE;
+            const float *t = (const float *)d[c] + ORL_C_TONE;
             tone[c] = (v4){ t[3 * c], t[3 * c + 1], t[3 * c + 2], t[9 + c] };
         }
-        for (int k = 0; k < ORL_C_TONE; k++) {                                  /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
-            if (j0[k] == 0 && j1[k] == 0 && j2[k] == 0) continue;
-            float a0 = a * j0[k], a1 = a * j1[k], a2 = a * j2[k];
-            q->g[k] += a0 * r[0] + a1 * r[1] + a2 * r[2];
-            for (int b = k / LANES; b <= ORL_C_TONE / LANES; b++) q->h[k][b] += a0 * j[0][b] + a1 * j[1][b] + a2 * j[2][b];
-            w->across[k][0] += a0 * tone[0];
-            w->across[k][1] += a1 * tone[1];
-            w->across[k][2] += a2 * tone[2];
+        for (int m = 0; m < ORL_C_TONE; m++) {                                  /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
+            if (j0[m] == 0 && j1[m] == 0 && j2[m] == 0) continue;
+            float a0 = a * j0[m], a1 = a * j1[m], a2 = a * j2[m];
+            q->g[m] += a0 * r[0] + a1 * r[1] + a2 * r[2];
+            for (int b = m / LANES; b <= ORL_C_TONE / LANES; b++) q->h[m][b] += a0 * d[0][b] + a1 * d[1][b] + a2 * d[2][b];
+            q->across[m][0] += a0 * tone[0];
+            q->across[m][1] += a1 * tone[1];
+            q->across[m][2] += a2 * tone[2];
         }
         for (int c = 0; c < 3; c++)
-            for (int k = 0; k < LANES; k++) {
-                float at = a * tone[c][k];
-                w->within[c][k] += at * tone[c];
-                q->g[tone_entry(c, k)] += at * r[c];
+            for (int m = 0; m < LANES; m++) {
+                float at = a * tone[c][m];
+                q->within[c][m] += at * tone[c];
+                q->g[tone_entry(c, m)] += at * r[c];
             }
     }
-    place_tone(w, q);
+}
+
+static void add_parts(void *user, int begin, int end)
+{
+    for (int k = begin; k < end; k++) add_part(user, k);
+}
+
+/* The parts' sums in their order, all in the first. */
+static void gather(state *w, int parts, normal *q)
+{
+    part *all = &w->parts[0];
+    for (int k = 1; k < parts; k++) {
+        const part *p = &w->parts[k];
+        for (int m = 0; m < ORL_C_TONE; m++) {
+            for (int b = m / LANES; b <= ORL_C_TONE / LANES; b++) all->h[m][b] += p->h[m][b];
+            for (int c = 0; c < 3; c++) all->across[m][c] += p->across[m][c];
+        }
+        for (int c = 0; c < 3; c++) for (int m = 0; m < LANES; m++) all->within[c][m] += p->within[c][m];
+        for (int m = 0; m < N; m++) all->g[m] += p->g[m];
+        all->rho += p->rho;
+        all->rho_before += p->rho_before;
+        all->weight += p->weight;
+        all->kept += p->kept;
+        all->square += p->square;
+    }
+    memcpy(q->h, all->h, sizeof q->h);
+    memcpy(q->g, all->g, sizeof q->g);
+    q->weight = all->weight;
+    q->kept = all->kept;
+    q->square = all->square;
+    place_tone(all, q);
+}
+
+static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
+{
+    size_t count = (w->n + stride - 1) / stride;
+    summing j = { w, tau * tau, tau_before * tau_before, stride, count >= PARTS * PART_LEAST ? PARTS : 1 };
+    orl_light_decode(w->m, code, &w->light);
+    orl_light_jac_decode(w->m, &w->light, &w->jac);
+    orl_parallel(j.parts > 1 ? w->threads : 1, j.parts, 1, add_parts, &j);
+    gather(w, j.parts, q);
     float scale = (q->weight > INDEPENDENT ? INDEPENDENT / (float)q->weight : 1) / (w->sigma * w->sigma);
     float d[N];
     double prior = 0;
@@ -153,8 +202,8 @@ static void evaluate(state *w, const float *code, float tau_before, float tau, s
         q->g[k] = q->g[k] * scale + w->prior_weight * pd;
         prior += 0.5 * w->prior_weight * d[k] * pd;
     }
-    q->cost = 0.5 * scale * rho + prior;
-    q->cost_before = 0.5 * scale * rho_before + prior;
+    q->cost = 0.5 * scale * w->parts[0].rho + prior;
+    q->cost_before = 0.5 * scale * w->parts[0].rho_before + prior;
     believe_in_sky(w, q);
 }
 
@@ -311,6 +360,7 @@ orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const
     w->n = n;
     w->prior_weight = o.prior_weight;
     w->sigma = o.sigma;
+    w->threads = o.threads;
     for (int k = 0; k < N; k++)
         w->fixed[k] = (k < ORL_C_SHADOW && (o.frozen & 1)) || (k >= ORL_C_SHADOW && k < ORL_C_TONE && (o.frozen & 2)) || (k >= ORL_C_TONE && (o.frozen & 4)) || (k < ORL_C_SUN_RGB && (o.frozen & 8));
     descent from = { .cost = 0 }, best[2] = { { .cost = INFINITY }, { .cost = INFINITY } };

@@ -168,6 +168,7 @@ static float misfit(orl_widen *w, const float *code, int step)
 static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
 {
     orl_adapt_options opt = orl_adapt_defaults();
+    opt.threads = w->config.threads;
     w->starts++;
     return orl_adapt(&w->config.scene->light, w->samples, (size_t)w->nsamples, init, &opt, w->adapt_work, orl_adapt_need(), out);
 }
