@@ -217,16 +217,16 @@ static inline void weights(const int32_t f[3], int16_t w[8])
     }
 }
 
-void orl_march_light(const orl_scene *s, const orl_hit *h, int32_t lite[ORL_LITE_BYTES], int32_t phi[ORL_SHADOW_DIM])
+void orl_march_light(const orl_scene *s, int32_t brick, const int32_t at[3], int32_t lite[ORL_LITE_BYTES], int32_t phi[ORL_SHADOW_DIM])
 {
     static const size_t CORNER[8] = { 0, 1, 3, 4, 9, 10, 12, 13 };
     int32_t q[3], f[3];
     int16_t w[8];
     memset(lite, 0, ORL_LITE_BYTES * sizeof *lite);
     memset(phi, 0, ORL_SHADOW_DIM * sizeof *phi);
-    if (!s->lite || h->brick < 0) lite[0] = 255 << 14;
-    if ((!s->lite && !s->shadow) || h->brick < 0) return;
-    local(h->at, h->at, q);
+    if (!s->lite || brick < 0) lite[0] = 255 << 14;
+    if ((!s->lite && !s->shadow) || brick < 0) return;
+    local(at, at, q);
     int first = 0;
     for (int a = 2; a >= 0; a--) {                                                      /* light vertices stand 4 cells apart */
         int i = q[a] >> 14 ? 1 : 0;
@@ -235,7 +235,7 @@ void orl_march_light(const orl_scene *s, const orl_hit *h, int32_t lite[ORL_LITE
     }
     weights(f, w);
     int32_t open = 0, horizon[ORL_HORIZON] = { 0 }, dark[ORL_SHADOW_DIM] = { 0 };
-    const size_t v = (size_t)h->brick * ORL_LITE_VERTS + (size_t)first;
+    const size_t v = (size_t)brick * ORL_LITE_VERTS + (size_t)first;
     for (int k = 0; s->lite && k < 8; k++) {
         const uint8_t *l = s->lite + (v + CORNER[k]) * ORL_LITE_BYTES;
         open += w[k] * l[0];

@@ -84,8 +84,9 @@ static void palette_dir(int index, float n[3])
 
 /* ---- building */
 
-enum { TILE = 15, TILE_RAYS = (TILE + 1) * (TILE + 1) };       /* pixels a side whose rays set out together */
-_Static_assert((int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
+enum { TILE = 15, FINE = 8, TILE_RAYS = 256 };       /* pixels a side whose rays set out together; FINE: where each pixel has four of its own */
+_Static_assert((TILE + 1) * (TILE + 1) <= (int)TILE_RAYS && 4 * FINE * FINE <= (int)TILE_RAYS && (int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
+#define COARSE_PIXEL 1.0             /* cells */
 
 typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
 
@@ -168,7 +169,7 @@ typedef struct {
     double d[TILE_RAYS][3];    /* 0: the lens has none */
     orl_hit hit[TILE_RAYS];
     float n[TILE_RAYS][3];
-    int met[TILE_RAYS], open[TILE_RAYS], count;     /* open: rays under way */
+    int wanted[TILE_RAYS], met[TILE_RAYS], open[TILE_RAYS], count;      /* open: rays under way */
     orl_march march;
 } tile;
 
@@ -180,7 +181,7 @@ static void march_tile(const build_job *j, tile *l, double freely)
     for (int i = 0; i < l->count; i++) {
         l->met[i] = 0;
         l->hit[i].t = 0;
-        if (l->d[i][0] != 0 || l->d[i][1] != 0 || l->d[i][2] != 0) l->open[n++] = i;
+        if (l->wanted[i]) l->open[n++] = i;
     }
     if (freely >= 1e12) n = 0;
     for (int cuts = 0; n && cuts < (s->ground_albedo ? ORL_CUTS : 1); cuts++) {
@@ -227,7 +228,7 @@ static int see(const build_job *j, tile *l, int i, int opaque)
     const double *d = l->d[i];
     orl_hit *h = &l->hit[i];
     memset(l->n[i], 0, sizeof l->n[i]);
-    if ((d[0] == 0 && d[1] == 0 && d[2] == 0) || !settle_ray(j->s, j->origin, d, l->met[i], opaque, h)) return 0;
+    if (!l->wanted[i] || !settle_ray(j->s, j->origin, d, l->met[i], opaque, h)) return 0;
     if (h->brick >= 0) orl_march_surface(j->s, h);
     double g[3] = { h->grad[0], h->grad[1], h->grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
     if (!(len > 0)) return 1;
@@ -236,47 +237,37 @@ static int see(const build_job *j, tile *l, int i, int opaque)
     return 1;
 }
 
-/* Four corners' mean would blur base colour: half of it is that of the middle between the hits, if it lies in a brick of theirs. albedo: the four's sum. */
-static void add_middle(const orl_scene *s, const tile *l, const int *of, uint32_t albedo[3])
-{
-    int32_t at[3] = { 0 };
-    uint32_t rgb[3];
-    for (int k = 0; k < 4; k++) {
-        if (l->hit[of[k]].brick < 0) return;
-        for (int a = 0; a < 3; a++) at[a] += l->hit[of[k]].at[a];       /* below 2^24 each */
-    }
-    for (int a = 0; a < 3; a++) at[a] >>= 2;
-    int32_t brick = orl_march_brick(s, at);
-    for (int k = 0; k < 4; k++) {
-        if (l->hit[of[k]].brick != brick) continue;
-        orl_march_colour(s, brick, l->hit[of[k]].grad, at, rgb);
-        for (int c = 0; c < 3; c++) albedo[c] = (albedo[c] + 1) / 2 + 2 * rgb[c];
-        return;
-    }
-}
-
-/* Mean of the rays that hit; coverage is their share. Light changes slowly: a ray that hits the brick which the ray before it hit takes its light. of: the pixel's rays. */
+/* Mean of the rays that hit; coverage is their share. Light changes slowly: rays that hit one brick take the light of the middle of their hits. of: the pixel's rays. */
 static void build_pixel(const build_job *j, int x, int y, const tile *l, const int *of)
 {
     orl_view *v = j->v;
-    int hits = 0, rays = j->ss * j->ss, brick = -2;
+    int hits = 0, rays = j->ss * j->ss, alike[4] = { 0 };
     double n[3] = { 0 };
     sums sum = { 0 };
-    int32_t lit[ORL_LITE_BYTES], dark[ORL_SHADOW_DIM];
+    const orl_hit *hit[4];
     for (int k = 0; k < rays; k++) {
-        const orl_hit *h = &l->hit[of[k]];
         if (!l->met[of[k]]) continue;
+        const orl_hit *h = hit[hits++] = &l->hit[of[k]];
         for (int a = 0; a < 3; a++) n[a] += l->n[of[k]][a];
         for (int c = 0; c < 3; c++) sum.albedo[c] += h->albedo[c];
-        if (h->brick != brick) orl_march_light(j->s, h, lit, dark);
-        brick = h->brick;
-        for (int c = 0; c < ORL_LITE_BYTES; c++) sum.lite[c] += lit[c];
-        for (int c = 0; c < ORL_SHADOW_DIM; c++) sum.phi[c] += dark[c];
         sum.t += h->t;
-        hits++;
+    }
+    for (int k = 0; k < hits; k++) {
+        int32_t at[3] = { 0 }, lit[ORL_LITE_BYTES], dark[ORL_SHADOW_DIM];
+        int same = 0;
+        if (alike[k]) continue;
+        for (int i = k; i < hits; i++) {
+            if (hit[i]->brick != hit[k]->brick) continue;
+            for (int a = 0; a < 3; a++) at[a] += hit[i]->at[a];         /* below 2^24 each */
+            alike[i] = 1;
+            same++;
+        }
+        for (int a = 0; a < 3; a++) at[a] /= same;
+        orl_march_light(j->s, hit[k]->brick, at, lit, dark);
+        for (int c = 0; c < ORL_LITE_BYTES; c++) sum.lite[c] += same * lit[c];
+        for (int c = 0; c < ORL_SHADOW_DIM; c++) sum.phi[c] += same * dark[c];
     }
     if (!hits) return;
-    if (rays > 1 && hits == rays) add_middle(j->s, l, of, sum.albedo);
     size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
     v->normal[at] = palette_of(n);
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
@@ -288,49 +279,79 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
     }
 }
 
-/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. One ray a pixel runs through its middle; four run through its corners, and neighbours
- * share them. */
-static void build_tile(const build_job *j, int x0, int y0)
+/* How rays run: n of a pixel's side, the first one at `off` from its corner, and one more at the end of a row and of rows of pixels if `more`. */
+typedef struct { int n, more; double off; } pattern;
+static const pattern MIDDLES = { 1, 0, 0.5 }, CORNERS = { 1, 1, 0 }, FOURS = { 2, 0, 0.5 };
+
+/* The tile's rays and the ball that holds them, those of pixels that are not wanted, too, which makes no pixel depend on what else is wanted: its middle's direction and its radius at distance 1.
+ * 0: no pixel is wanted, or rays run all round, as no camera's do. */
+static int aim(const build_job *j, int x0, int y0, int w, int h, const pattern *p, tile *l, double middle[3], double *spread)
 {
-    orl_view *v = j->v;
-    const int w = x0 + TILE < v->w ? TILE : v->w - x0, h = y0 + TILE < v->h ? TILE : v->h - y0, more = j->ss - 1, cols = w + more, rows = h + more;
-    double middle[3] = { 0 }, len = 0, spread = 0;
-    tile l;
-    l.count = cols * rows;
-    memset(l.open, 0, sizeof l.open);
+    const orl_view *v = j->v;
+    const int cols = w * p->n + p->more, side = p->n == 2 || p->more ? 2 : 1;
+    double len = 0, most = 0;
+    l->count = cols * (h * p->n + p->more);
+    int any = 0;
+    memset(l->wanted, 0, sizeof l->wanted);
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
             int wanted = !j->wanted || j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)];
-            for (int k = 0; k <= 3 * more; k++) l.open[(y + (k >> 1)) * cols + x + (k & 1)] |= wanted;
+            for (int k = 0; k < side * side; k++) l->wanted[(y * p->n + k / side) * cols + x * p->n + k % side] |= wanted;
+            any |= wanted;
         }
-    for (int i = 0; i < l.count; i++) {
-        double *d = l.d[i];
-        if (!l.open[i] || !pixel_dir(v, x0 + i % cols + 0.5 * !more, y0 + i / cols + 0.5 * !more, d)) d[0] = d[1] = d[2] = 0;
+    if (!any) return 0;
+    for (int a = 0; a < 3; a++) middle[a] = 0;
+    for (int i = 0; i < l->count; i++) {
+        double *d = l->d[i];
+        if (!pixel_dir(v, x0 + (i % cols + p->off) / p->n, y0 + (i / cols + p->off) / p->n, d)) d[0] = d[1] = d[2] = l->wanted[i] = 0;
         for (int a = 0; a < 3; a++) middle[a] += d[a];
     }
     for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
-    if (!(len > 0)) return;             /* no ray, or rays all round: a lens that no camera has */
+    if (!(len > 0)) return 0;
     len = 1 / sqrt(len);
     for (int a = 0; a < 3; a++) middle[a] *= len;
-    for (int i = 0; i < l.count; i++) {
-        const double *d = l.d[i];
+    for (int i = 0; i < l->count; i++) {
+        const double *d = l->d[i];
         double q = (d[0] - middle[0]) * (d[0] - middle[0]) + (d[1] - middle[1]) * (d[1] - middle[1]) + (d[2] - middle[2]) * (d[2] - middle[2]);
-        if (q > spread && (d[0] != 0 || d[1] != 0 || d[2] != 0)) spread = q;
+        if (q > most && (d[0] != 0 || d[1] != 0 || d[2] != 0)) most = q;
     }
-    march_tile(j, &l, orl_march_freely(j->s, j->origin, middle, sqrt(spread)));
-    for (int i = 0; i < l.count; i++) l.met[i] = see(j, &l, i, more ? 2 * ((x0 + i % cols) % 2 + 2 * ((y0 + i / cols) % 2)) + 1 : 4);     /* so that the rays of a pixel ask for more and more opaque a backdrop */
+    *spread = sqrt(most);
+    return 1;
+}
+
+/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. One ray a pixel runs through its middle; four run through its corners, and neighbours
+ * share them, unless a pixel is wider than COARSE_PIXEL where the ball ends: then more is to be seen in it, and it has four rays of its own. */
+static void build_tile(const build_job *j, int x0, int y0, int w, int h, const pattern *p)
+{
+    const orl_view *v = j->v;
+    double middle[3], spread;
+    tile l;
+    if (!aim(j, x0, y0, w, h, p, &l, middle, &spread)) return;
+    double freely = orl_march_freely(j->s, j->origin, middle, spread);
+    if (p == &CORNERS && freely < 1e12 && 2 * spread * freely > COARSE_PIXEL * sqrt((double)(w * w + h * h))) {
+        for (int k = 0; k < 4; k++) {
+            int x = k & 1 ? FINE : 0, y = k & 2 ? FINE : 0;
+            if (x < w && y < h) build_tile(j, x0 + x, y0 + y, w - x < FINE ? w - x : FINE, h - y < FINE ? h - y : FINE, &FOURS);
+        }
+        return;
+    }
+    march_tile(j, &l, freely);
+    const int cols = w * p->n + p->more, X = x0 * p->n, Y = y0 * p->n;
+    for (int i = 0; i < l.count; i++) l.met[i] = see(j, &l, i, p == &MIDDLES ? 4 : 2 * ((X + i % cols) % 2 + 2 * ((Y + i / cols) % 2)) + 1);     /* so that the rays of a pixel ask for more and more opaque a backdrop */
     for (int y = 0; y < h; y++)
         for (int x = 0; x < w; x++) {
-            int at = y * cols + x, of[4] = { at, at + 1, at + cols, at + cols + 1 };
-            if (j->wanted && !j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)]) continue;
-            build_pixel(j, x0 + x, y0 + y, &l, of);
+            int at = y * p->n * cols + x * p->n, of[4] = { at, at + 1, at + cols, at + cols + 1 };
+            if (!j->wanted || j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)]) build_pixel(j, x0 + x, y0 + y, &l, of);
         }
 }
 
 static void build_tiles(void *user, int begin, int end)
 {
     const build_job *j = user;
-    for (int i = begin; i < end; i++) build_tile(j, i % j->across * TILE, i / j->across * TILE);
+    for (int i = begin; i < end; i++) {
+        int x = i % j->across * TILE, y = i / j->across * TILE;
+        build_tile(j, x, y, j->v->w - x < TILE ? j->v->w - x : TILE, j->v->h - y < TILE ? j->v->h - y : TILE, j->ss == 1 ? &MIDDLES : &CORNERS);
+    }
 }
 
 static void build_sky(orl_view *v)
