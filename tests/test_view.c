@@ -111,10 +111,10 @@ static void test_depth_and_normal(void **state)
     free(b.block);
 }
 
-static void test_coverage(void **state)
+/* Where a pixel is less than a cell wide its rays run through its corners, elsewhere a quarter of it from its sides. */
+static void coverage(double fov, double first, double pitch)
 {
-    (void)state;
-    orl_camera cam = synth_camera(96, 64, 60);
+    orl_camera cam = synth_camera(96, 64, fov);
     orl_pose pose = synth_look(&scene, eye, target);
     built b;
     build(&b, &cam, &pose, 2, 1);
@@ -123,7 +123,7 @@ static void test_coverage(void **state)
         int n = 0, skip = 0;
         for (int k = 0; k < 4; k++) {
             double c[3], d[3] = { 0 }, normal[3];
-            orl_camera_unproject(&cam, x + (k & 1), y + (k >> 1), c);
+            orl_camera_unproject(&cam, x + first + pitch * (k & 1), y + first + pitch * (k >> 1), c);
             double len = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
             for (int a = 0; a < 3; a++) for (int i = 0; i < 3; i++) d[a] += b.v.grid_from_cam[3 * a + i] * c[i] / len;
             n += analytic(eye, d, normal) > 0;
@@ -139,6 +139,13 @@ static void test_coverage(void **state)
     print_message("%d partly covered pixels, %d differ from the analytic count\n", partial, wrong);
     assert_true(partial > 20 && wrong < partial / 3);
     free(b.block);
+}
+
+static void test_coverage(void **state)
+{
+    (void)state;
+    coverage(95, 0.25, 0.5);
+    coverage(26, 0, 1);
 }
 
 /* A brick of the sphere left out: rays that enter there leave the sphere again and meet the ground behind it. */
