@@ -130,10 +130,17 @@ static int masked(const orl_blend *b, const uint8_t *mask, int u, int v)
     return 0;
 }
 
-static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide, const double turn[9], const uint8_t *mask)
+typedef struct { orl_blend *b; const orl_camera *photo, *wide; const double *turn; const uint8_t *mask; } place_job;
+
+static void place(void *user, int begin, int end)
 {
+    const place_job *j = user;
+    orl_blend *b = j->b;
+    const orl_camera *photo = j->photo, *wide = j->wide;
+    const double *turn = j->turn;
+    const uint8_t *mask = j->mask;
     double feather = FEATHER * (b->pw < b->ph ? b->pw : b->ph);
-    for (int y = 0; y < b->h; y++) {
+    for (int y = begin; y < end; y++) {
         b->x0[y] = b->w;
         for (int x = 0; x < b->w; x++) {
             size_t i = (size_t)y * (size_t)b->w + (size_t)x;
@@ -181,7 +188,7 @@ static void set_fade(orl_blend *b, const orl_camera *photo, const orl_camera *wi
 }
 
 orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, const orl_camera *wide, const orl_pose *wide_pose,
-                       const uint8_t *mask, void *block, size_t bytes, orl_blend **out)
+                       const uint8_t *mask, int threads, void *block, size_t bytes, orl_blend **out)
 {
     double a[3], c[3], turn[9], gap = 0, size = 0;
     if (bytes < orl_blend_need(wide->w, wide->h)) return orl_fail(ORL_E_MEMORY, "blend: the block is too small");
@@ -214,7 +221,7 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
         b->cell_of[x / ORL_MIX_STEP] = (uint8_t)left;
         b->share[x] = (int16_t)clampi((2 * x + 1 - (2 * left + 1) * b->cell) * 16384 / b->cell, 0, 32767);
     }
-    place(b, photo, wide, turn, mask);
+    orl_parallel(threads, b->h, 16, place, &(place_job){ b, photo, wide, turn, mask });
     set_fade(b, photo, wide, turn);
     *out = b;
     return ORL_OK;

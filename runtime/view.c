@@ -354,6 +354,22 @@ static void build_tiles(void *user, int begin, int end)
     }
 }
 
+/* Sky: everything 0, lit, no depth. */
+static void clear_rows(void *user, int begin, int end)
+{
+    const orl_view *v = user;
+    size_t at = (size_t)begin * (size_t)v->stride, n = (size_t)(end - begin) * (size_t)v->stride;
+    memset(v->normal + at, 0, n * sizeof *v->normal);
+    for (int c = 0; c < 3; c++) memset(v->albedo[c] + at, 0, n * sizeof *v->albedo[c]);
+    memset(v->open + at, 0, n);
+    memset(v->cov + at, 0, n);
+    for (size_t i = 0; i < ORL_HORIZON; i++) memset(v->horizon + i * plane_size(v) + at, 0, n);
+    memset(v->phi + at * ORL_SHADOW_DIM, 0, n * ORL_SHADOW_DIM);
+    memset(v->fix + at, 0, n);
+    memset(v->vis + at, 255, n);
+    memset(v->depth + at, 255, n * sizeof *v->depth);
+}
+
 static void build_sky(orl_view *v)
 {
     sky_grid *g = v->sky;
@@ -419,10 +435,7 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
         v.eye[a] = j.origin[a];
         for (int c = 0; c < 3; c++) v.grid_from_cam[3 * a + c] = (m[4 * a] * R[3 * c] + m[4 * a + 1] * R[3 * c + 1] + m[4 * a + 2] * R[3 * c + 2]) / scale;
     }
-    size_t n = (size_t)v.stride * (size_t)v.h;
-    memset(block, 0, (size_t)((uint8_t *)v.sky - (uint8_t *)block));    /* sky: everything 0, lit, no depth */
-    memset(v.vis, 255, n);
-    memset(v.depth, 255, n * sizeof *v.depth);
+    orl_parallel(threads, v.h, 4 * GRAIN, clear_rows, &v);
     if (s->shadow) memcpy(v.phi_scale, s->shadow_scale, sizeof v.phi_scale);
     build_sky(&v);
     orl_parallel(threads, j.across * ((v.h + TILE - 1) / TILE), GRAIN, build_tiles, &j);

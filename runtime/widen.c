@@ -102,7 +102,7 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
     orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
     orl_err e = ORL_OK;
     pick(s.w, s.h, w.spot);
-    if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
+    if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, c->threads, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
     if (e) return e;
     if (c->baked) {
         e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
