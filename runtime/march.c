@@ -206,46 +206,53 @@ void orl_march_colour(const orl_scene *s, int32_t brick, const int32_t grad[3], 
 
 int32_t orl_march_brick(const orl_scene *s, const int32_t at[3]) { return brick_of(s, at); }
 
-/* Eight corner weights that sum to 2^14 exactly: the last takes what rounding left. */
-static inline void weights(const int32_t f[3], int16_t w[8])
+/* Eight corner weights that sum to 256 exactly: the last takes what rounding left, 0 at the least. */
+static inline void weights(const int32_t f[3], uint16_t w[8])
 {
-    int32_t rest = 1 << 14;
-    for (int k = 0; k < 8; k++) {
-        int32_t v = (k & 1 ? f[0] : 256 - f[0]) * (k & 2 ? f[1] : 256 - f[1]) * (k & 4 ? f[2] : 256 - f[2]) >> 10;
-        w[k] = (int16_t)(k == 7 ? rest : v);
-        rest -= w[k];
+    int32_t rest = 256;
+    for (int k = 0; k < 7; k++) {
+        int32_t v = ((k & 1 ? f[0] : 256 - f[0]) * (k & 2 ? f[1] : 256 - f[1]) * (k & 4 ? f[2] : 256 - f[2]) + (1 << 15)) >> 16;
+        v = v < rest ? v : rest;
+        w[k] = (uint16_t)v;
+        rest -= v;
     }
+    w[7] = (uint16_t)rest;
 }
 
-void orl_march_light(const orl_scene *s, int32_t brick, const int32_t at[3], int32_t lite[ORL_LITE_BYTES], int32_t phi[ORL_SHADOW_DIM])
+typedef uint16_t u16x8 __attribute__((vector_size(16)));
+typedef uint8_t u8x8 __attribute__((vector_size(8)));
+typedef int16_t i16x8 __attribute__((vector_size(16)));
+typedef int8_t i8x8 __attribute__((vector_size(8)));
+static inline u16x8 eight(const uint8_t *p) { u8x8 v; memcpy(&v, p, 8); return __builtin_convertvector(v, u16x8); }
+static inline u16x8 eight_signed(const int8_t *p) { i8x8 v; memcpy(&v, p, 8); return (u16x8)__builtin_convertvector(v, i16x8); }
+
+void orl_march_light(const orl_scene *s, int32_t brick, const int32_t at[3], uint16_t lite[ORL_LITE_BYTES], int16_t phi[ORL_SHADOW_DIM])
 {
     static const size_t CORNER[8] = { 0, 1, 3, 4, 9, 10, 12, 13 };
-    int32_t q[3], f[3];
-    int16_t w[8];
-    memset(lite, 0, ORL_LITE_BYTES * sizeof *lite);
-    memset(phi, 0, ORL_SHADOW_DIM * sizeof *phi);
-    if (!s->lite || brick < 0) lite[0] = 255 << 14;
-    if ((!s->lite && !s->shadow) || brick < 0) return;
-    local(at, at, q);
-    int first = 0;
-    for (int a = 2; a >= 0; a--) {                                                      /* light vertices stand 4 cells apart */
-        int i = q[a] >> 14 ? 1 : 0;
-        f[a] = (q[a] - (i << 14)) >> 6;
-        first = first * 3 + i;
+    uint16_t w[8], open = 255 * 256;
+    u16x8 horizon[ORL_HORIZON / 8] = { { 0 } }, dark = { 0 };          /* dark: two's complement */
+    _Static_assert((int)ORL_HORIZON == 16 && (int)ORL_SHADOW_DIM == 8, "vectors");
+    if (brick >= 0) {
+        int32_t q[3], f[3];
+        size_t v = 0;
+        local(at, at, q);
+        for (int a = 2; a >= 0; a--) {                                                  /* light vertices stand 4 cells apart */
+            int i = q[a] >> 14 ? 1 : 0;
+            f[a] = (q[a] - (i << 14)) >> 6;
+            v = v * 3 + (size_t)i;
+        }
+        weights(f, w);
+        v += (size_t)brick * ORL_LITE_VERTS;
+        if (s->lite) open = 0;
+        for (int k = 0; s->lite && k < 8; k++) {
+            const uint8_t *l = s->lite + (v + CORNER[k]) * ORL_LITE_BYTES;
+            open = (uint16_t)(open + w[k] * l[0]);
+            horizon[0] += w[k] * eight(l + 1);
+            horizon[1] += w[k] * eight(l + 9);
+        }
+        for (int k = 0; s->shadow && k < 8; k++) dark += w[k] * eight_signed(s->shadow + (v + CORNER[k]) * ORL_SHADOW_DIM);
     }
-    weights(f, w);
-    int32_t open = 0, horizon[ORL_HORIZON] = { 0 }, dark[ORL_SHADOW_DIM] = { 0 };
-    const size_t v = (size_t)brick * ORL_LITE_VERTS + (size_t)first;
-    for (int k = 0; s->lite && k < 8; k++) {
-        const uint8_t *l = s->lite + (v + CORNER[k]) * ORL_LITE_BYTES;
-        open += w[k] * l[0];
-        for (int c = 0; c < ORL_HORIZON; c++) horizon[c] += w[k] * (int16_t)l[1 + c];
-    }
-    for (int k = 0; s->shadow && k < 8; k++) {
-        const int8_t *p = s->shadow + (v + CORNER[k]) * ORL_SHADOW_DIM;
-        for (int c = 0; c < ORL_SHADOW_DIM; c++) dark[c] += w[k] * (int16_t)p[c];
-    }
-    if (s->lite) lite[0] = open;
+    lite[0] = open;
     memcpy(lite + 1, horizon, sizeof horizon);
-    memcpy(phi, dark, sizeof dark);
+    memcpy(phi, &dark, sizeof dark);
 }

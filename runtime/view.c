@@ -213,7 +213,7 @@ typedef struct { uint32_t albedo[3]; int32_t lite[ORL_LITE_BYTES], phi[ORL_SHADO
 
 static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t at, const sums *s, int m)
 {
-    const int32_t one = m << 14, half = m << 13;
+    const int32_t one = m << 8, half = m << 7;
     for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
     v->open[at] = (uint8_t)((s->lite[0] + half) / one);
     for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((uint32_t)(s->lite[1 + i] + half) / (uint32_t)one);
@@ -253,7 +253,9 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
         sum.t += h->t;
     }
     for (int k = 0; k < hits; k++) {
-        int32_t at[3] = { 0 }, lit[ORL_LITE_BYTES], dark[ORL_SHADOW_DIM];
+        int32_t at[3] = { 0 };
+        uint16_t lit[ORL_LITE_BYTES];
+        int16_t dark[ORL_SHADOW_DIM];
         int same = 0;
         if (alike[k]) continue;
         for (int i = k; i < hits; i++) {
