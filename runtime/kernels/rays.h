@@ -17,7 +17,7 @@ enum { ORL_RAYS = 256, ORL_RAY_STEP = 16, ORL_RAY_STEPS = 4096, ORL_RAY_REFINES 
 #define ORL_RAY_LEAST 0.25f
 #define ORL_RAY_MOST  3.5f
 #define ORL_RAY_FAR   7.0f
-#define ORL_RAY_LEAP  0.75f
+#define ORL_RAY_LEAP  0.5f
 #define ORL_RAY_FINE  (1 / 256.0f)
 #define ORL_RAY_NUDGE (1 / 64.0f)       /* past a box's face */
 #define ORL_RAY_CUT   (-1 / 32.0f)      /* a ray that comes out of empty bricks and finds itself deeper than this met a section, no surface */
