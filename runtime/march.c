@@ -151,6 +151,9 @@ static int brick_on_way(const orl_scene *s, const double o[3], const double d[3]
     return 0;
 }
 
+/* Up to when x + t v stays below 0, from t on. 0: it is not below. */
+static double reach(double x, double v, double t) { return x + t * v > 0 ? 0 : v > 0 ? -x / v : 1e12; }
+
 /* Boxes without bricks are passed one after the other, the ball of radius t spread in each of them, or where they are small the places that it sweeps; beyond the grid everything is free. */
 double orl_march_freely(const orl_scene *s, const double o[3], const double d[3], double spread)
 {
@@ -167,7 +170,7 @@ double orl_march_freely(const orl_scene *s, const double o[3], const double d[3]
             else if (c[a] >= size) { sign = -1; edge = size; }
             at[a] = (int)(sign > 0 ? 0 : sign < 0 ? size - 1 : c[a]) >> 3;
             if (sign == 0) continue;
-            double in = sign * d[a] + spread, out = in > 0 ? sign * (edge - o[a]) / in : never;         /* sign (o + t d - edge) + t spread = 0 */
+            double out = reach(sign * (o[a] - edge), sign * d[a] + spread, t);
             beside = 1;
             next = out > next ? out : next;
         }
@@ -176,7 +179,7 @@ double orl_march_freely(const orl_scene *s, const double o[3], const double d[3]
             next = b < 0 ? never : 0;
             for (int a = 0; b < 0 && a < 3; a++) {
                 int lo = at[a] + b + 1, hi = at[a] - b;
-                double up = hi < (int)s->nb[a] && d[a] + spread > 0 ? (8.0 * hi - o[a]) / (d[a] + spread) : never, down = lo > 0 && spread - d[a] > 0 ? (o[a] - 8.0 * lo) / (spread - d[a]) : never;
+                double up = hi < (int)s->nb[a] ? reach(o[a] - 8.0 * hi, d[a] + spread, t) : never, down = lo > 0 ? reach(8.0 * lo - o[a], spread - d[a], t) : never;
                 next = up < next ? up : next;
                 next = down < next ? down : next;
             }
