@@ -7,7 +7,7 @@
 #include "oriel/math.h"
 #include "oriel/parallel.h"
 
-enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400, PARTS = 4, PART_LEAST = 150 };        /* PARTS: samples are summed in, from PART_LEAST each on */
+enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400, PARTS = 4, PART_LEAST = 150, DESKS = 4, STARTS = 128 };        /* PARTS: samples are summed in, from PART_LEAST each on; DESKS: at which starts are tried side by side */
 typedef float v4 __attribute__((vector_size(16)));
 #define PI 3.14159265f
 #define TAU_COARSE 1.0f     /* scale of the robust weights on the residual's RGB norm: first and last of the coarse stage, */
@@ -44,7 +44,8 @@ typedef struct {
 } state;
 
 orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 1, 0 }; }
-size_t orl_adapt_need(void) { return (sizeof(state) + 63) & ~(size_t)63; }
+static size_t room(void) { return (sizeof(state) + 63) & ~(size_t)63; }
+size_t orl_adapt_need(void) { return DESKS * room(); }
 
 static float clampf(float x, float lo, float hi) { return x > lo ? x < hi ? x : hi : lo; }
 static float wrap(float a) { a -= 2 * PI * (float)(int)(a * (1 / (2 * PI))); return a > PI ? a - 2 * PI : a < -PI ? a + 2 * PI : a; }
@@ -348,6 +349,30 @@ static void finish(state *w, const descent *d, const normal *q, int steps, orl_a
     }
 }
 
+typedef struct { state *desk[DESKS]; descent *start; int count, steps; size_t stride; } trying;
+
+static void copy_task(state *to, const state *w)
+{
+    to->m = w->m;
+    to->s = w->s;
+    to->n = w->n;
+    to->prior_weight = w->prior_weight;
+    to->sigma = w->sigma;
+    to->threads = 1;
+    memcpy(to->fixed, w->fixed, sizeof to->fixed);
+}
+
+/* Desk k takes every DESKS-th start. */
+static void try_starts(void *user, int begin, int end)
+{
+    const trying *j = user;
+    for (int k = begin; k < end; k++)
+        for (int i = k; i < j->count; i += DESKS) {
+            normal *q;
+            descend(j->desk[k], &j->start[i], TAU_COARSE, TAU_MIDDLE, j->steps, j->stride, &q);
+        }
+}
+
 orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
                   const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out)
 {
@@ -385,22 +410,29 @@ orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const
         static const float ELEVATION[2] = { 0.45f, 1.0f };
         size_t stride = n > COARSE_SAMPLES ? n / COARSE_SAMPLES : 1;
         int turn = !w->fixed[ORL_C_SUN_AZ];
-        for (int a = 0; a < (turn ? o.azimuths : 1); a++)
-            for (int e = 0; e < (turn ? 2 : 1); e++) {
-                descent d = from;
-                if (turn) {
-                    d.code[ORL_C_SUN_AZ] = wrap((float)a * (2 * PI / (float)o.azimuths));
-                    d.code[ORL_C_SUN_EL] = ELEVATION[e];
-                }
-                descend(w, &d, TAU_COARSE, TAU_MIDDLE, o.max_iterations < COARSE_STEPS ? o.max_iterations : COARSE_STEPS, stride, &q);
-                steps += d.steps;
-                if (d.status == ORL_ADAPT_DEGENERATE) continue;
-                int same = fabsf(wrap(d.code[0] - best[0].code[0])) < 0.3f;     /* the runner-up should stand elsewhere */
-                if (d.cost < best[0].cost) {
-                    if (!same) best[1] = best[0];
-                    best[0] = d;
-                } else if (!same && d.cost < best[1].cost) best[1] = d;
-            }
+        descent start[STARTS];
+        trying j = { { w }, start, turn ? 2 * o.azimuths : 1, o.max_iterations < COARSE_STEPS ? o.max_iterations : COARSE_STEPS, stride };
+        for (int k = 1; k < DESKS; k++) {
+            j.desk[k] = (state *)((char *)work + (size_t)k * room());
+            copy_task(j.desk[k], w);
+        }
+        for (int i = 0; i < j.count; i++) {
+            start[i] = from;
+            if (!turn) continue;
+            start[i].code[ORL_C_SUN_AZ] = wrap((float)(i / 2) * (2 * PI / (float)o.azimuths));
+            start[i].code[ORL_C_SUN_EL] = ELEVATION[i % 2];
+        }
+        orl_parallel(o.threads, DESKS, 1, try_starts, &j);
+        for (int i = 0; i < j.count; i++) {
+            const descent *d = &start[i];
+            steps += d->steps;
+            if (d->status == ORL_ADAPT_DEGENERATE) continue;
+            int same = fabsf(wrap(d->code[0] - best[0].code[0])) < 0.3f;        /* the runner-up should stand elsewhere */
+            if (d->cost < best[0].cost) {
+                if (!same) best[1] = best[0];
+                best[0] = *d;
+            } else if (!same && d->cost < best[1].cost) best[1] = *d;
+        }
         float tau = fmaxf(TAU_MIDDLE, tau_end);
         orl_adapt_result r[2];
         int found = 0;

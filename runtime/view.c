@@ -264,7 +264,7 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
             alike[i] = 1;
             same++;
         }
-        for (int a = 0; a < 3; a++) at[a] /= same;
+        for (int a = 0; a < 3; a++) at[a] = same == 4 ? at[a] / 4 : at[a] / same;      /* mostly four, and a shift */
         orl_march_light(j->s, hit[k]->brick, at, lit, dark);
         for (int c = 0; c < ORL_LITE_BYTES; c++) sum.lite[c] += same * lit[c];
         for (int c = 0; c < ORL_SHADOW_DIM; c++) sum.phi[c] += same * dark[c];
