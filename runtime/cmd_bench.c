@@ -15,11 +15,12 @@
 
 static const char HELP[] =
     "Usage: oriel bench (--scene FILE --pose FILE | --view FILE) [OPTION]...\n"
-    "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a camera loop. One thread; best of several runs; ratios are taken in one run.\n\n"
+    "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a new pose and of a camera loop. One thread, a new pose also on all cores; best of several runs; ratios\n"
+    "are taken in one run.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
-    "  --source SOURCE  replay:PATH: also the stages of `oriel run` on these pictures\n"
+    "  --source SOURCE  replay:PATH: also the stages of a new pose's first picture and of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
     "  --size WxH       size of the wide picture\n"

@@ -1,4 +1,4 @@
-/* The view: marches every pixel into planes (bit-identical for any thread count: a row is one thread's alone), turns a light into tables, and runs the re-lighting kernels over rows. */
+/* The view: marches pixels into planes (bit-identical for any thread count: a tile is one thread's alone), turns a light into tables, and runs the re-lighting kernels over rows. */
 #include "oriel/view.h"
 #include <math.h>
 #include <string.h>
