@@ -32,7 +32,7 @@ static float leave(const orl_rays *r, int k, const float inv[3], const place *at
     float out = 0;
     for (int a = 0; a < 3; a++) {
         int b = at->i[a] >> 3;
-        float e = ((float)((r->d[a][k] > 0 ? b - at->brick : b + at->brick + 1) << 3) - r->o[a][k]) * inv[a];
+        float e = ((float)(8 * (r->d[a][k] > 0 ? b - at->brick : b + at->brick + 1)) - r->o[a][k]) * inv[a];
         out = a == 0 || e < out ? e : out;
     }
     return out;
