@@ -27,6 +27,8 @@ have = $(shell $(PKG) --exists $(1) 2>/dev/null && echo 1)
 OPT_JPEG := $(call have,libjpeg)
 OPT_PNG := $(call have,libpng)
 OPT_EXR := $(call have,OpenEXR)
+# for oriel bench --mlp alone
+OPT_XNN := $(if $(filter host,$(BOARD)),$(shell printf '\043include <xnnpack.h>' | $(CC) -E - >/dev/null 2>&1 && echo 1))
 LIBS := $(if $(OPT_JPEG),$(shell $(PKG) --libs libjpeg)) $(if $(OPT_PNG),$(shell $(PKG) --libs --static libpng)) $(if $(OPT_EXR),-lOpenEXRCore) -lpthread -lm
 DEFS := $(if $(OPT_JPEG),-DORL_HAVE_JPEG) $(if $(OPT_PNG),-DORL_HAVE_PNG) $(if $(OPT_EXR),-DORL_HAVE_EXR $(shell $(PKG) --cflags OpenEXR))
 FLAGS := -g -O3 -Wall -Wextra -D_GNU_SOURCE -Iinclude -I. -MMD -MP $(CPU) $(DEFS) $(if $(SAN),-fsanitize=address$(,)undefined -fno-omit-frame-pointer -fno-sanitize-recover=undefined)
@@ -51,7 +53,7 @@ $B/%.a:
 	@rm -f $@
 	ar rcs $@ $^
 $B/oriel: $(call obj,$(APP)) $B/liboriel.a
-	$(CC) $(LINK) -o $@ $^ $(LIBS)
+	$(CC) $(LINK) -o $@ $^ $(if $(OPT_XNN),-lXNNPACK) $(LIBS)
 $B/oriel-train: $B/obj/trainer/main.o $B/libtrainer.a $B/liboriel.a
 	$(CXX) $(LINK) -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(LIBS) $(MPI_LIBS)
 $B/tests/%: $B/obj/tests/%.o $B/libtrainer.a $B/liboriel.a
@@ -61,7 +63,7 @@ $B/tools/%: $B/obj/tests/tools/%.o $(if $(filter host,$(BOARD)),$B/libtrainer.a)
 	@mkdir -p $(@D)
 	$(if $(filter host,$(BOARD)),$(CXX) $(LINK) -Wl$(,)--as-needed -o $@ $^ -lOpenImageIO -lOpenImageIO_Util $(MPI_LIBS),$(CC) $(LINK) -o $@ $^) $(LIBS)
 # what was compiled before a library arrived is compiled again
-$(shell mkdir -p $B && echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI)' | cmp -s - $B/flags || echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI)' > $B/flags)
+$(shell mkdir -p $B && echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI) $(OPT_XNN)' | cmp -s - $B/flags || echo '$(CC) $(FLAGS) $(TRAIN_ARCH) $(MPI) $(OPT_XNN)' > $B/flags)
 $B/obj/%.o: %.c $B/flags
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(FLAGS) $(ISA) -c -o $@ $<
@@ -69,11 +71,12 @@ $B/obj/%.o: %.cpp $B/flags
 	@mkdir -p $(@D)
 	$(CXX) -std=c++17 $(FLAGS) $(ISA) -c -o $@ $<
 $B/obj/formats/%.o $B/obj/runtime/%.o: ISA = -ffp-contract=off
+$B/obj/runtime/cmd_bench_mlp.o: ISA = $(if $(OPT_XNN),-DORL_HAVE_XNN)
 $B/obj/trainer/%.o: ISA = $(TRAIN_ARCH)
 $B/obj/trainer/ranks_mpi.o: ISA = $(filter -I%,$(MPI_SHOW))
 $B/obj/trainer/mlp.o $B/obj/trainer/encoding.o $B/obj/trainer/nerfw.o: ISA = $(TRAIN_ARCH) -ffp-contract=fast -fno-math-errno
 $(call obj,$(filter %_avx2.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2
-$(call obj,$(filter %_avx512.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2 -mavx512f -mavx512bw -mavx512dq -mavx512vl -mavx512vbmi -mavx512vnni
+$(call obj,$(filter %_avx512.c,$(KERNELS))): ISA = -ffp-contract=off -mavx2 -mavx512f -mavx512bw -mavx512cd -mavx512dq -mavx512vl -mavx512vbmi -mavx512vnni
 $(call obj,$(filter %_dotprod.c,$(KERNELS))): ISA = -ffp-contract=off -mcpu=cortex-a76
 
 tests: all $(TESTS) $(TOOLS)

@@ -23,12 +23,12 @@ static void planes(orl_view *v, each_plane *each, void *user)
 {
     size_t n = (size_t)v->stride * (size_t)v->h;
 #define PLANE(p, size) do { const void *at = v->p; each(user, &at, n * (size)); v->p = (void *)at; } while (0)
-    PLANE(normal, sizeof *v->normal);
-    for (int c = 0; c < 3; c++) PLANE(albedo[c], sizeof *v->albedo[c]);
+    for (int c = 0; c < 3; c++) PLANE(normal[c], 1);
+    for (int c = 0; c < 3; c++) PLANE(albedo[c], 1);
     PLANE(open, 1);
     PLANE(cov, 1);
     PLANE(horizon, ORL_HORIZON);
-    PLANE(phi, ORL_SHADOW_DIM);
+    for (int g = 0; g < 2; g++) PLANE(phi[g], ORL_SHADOW_DIM / 2);
     PLANE(depth, sizeof *v->depth);
     PLANE(ceiling, ORL_HORIZON);
 #undef PLANE
@@ -144,7 +144,8 @@ static orl_err find_view(const orl_scene *s, int k, const char *name, orl_view *
     memcpy(v.phi_scale, h->phi_scale, sizeof h->phi_scale);
     planes(&v, find_plane, &(cursor){ (uint8_t *)s->view[k], sizeof *h });          /* mapped for reading; nobody writes to a baked plane */
     size_t n = (size_t)v.stride * (size_t)v.h;
-    for (size_t i = 0; i < n; i++) if (v.normal[i] >= ORL_VIEW_NORMALS) return orl_fail(ORL_E_RANGE, "%s: section %s: normal of pixel %zu, %zu", name, tag, i % (size_t)v.stride, i / (size_t)v.stride);
+    for (int a = 0; a < 3; a++)         /* the one value whose square leaves 16 bits */
+        for (size_t i = 0; i < n; i++) if (v.normal[a][i] == -128) return orl_fail(ORL_E_RANGE, "%s: section %s: normal of pixel %zu, %zu", name, tag, i % (size_t)v.stride, i / (size_t)v.stride);
     *out = v;
     return ORL_OK;
 }

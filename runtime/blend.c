@@ -11,7 +11,7 @@
 #include "runtime/arena.h"
 #include "runtime/kernels/shade.h"
 
-enum { CELLS = 64, CELL_STEP = 2 * ORL_MIX_STEP, LEVELS = 8, LAYERS = 2, SCALE_MAX = 64, VALUE_Q = 4, KNEE = 32 };     /* cells' middles stand between the kernel's steps */
+enum { CELLS = 64, CELL_LOG2 = 4, SEAM = 16, LEVELS = 8, LAYERS = 2, SCALE_MAX = ORL_WARP_MOST, VALUE_Q = 4, KNEE = 32 };
 #define FEATHER 0.03        /* of the photo's short side */
 #define BAND    3.0         /* seam colours are taken this many feathers deep */
 #define REACH   0.12        /* a correction has halved at this distance from the photo, in short sides */
@@ -21,8 +21,9 @@ typedef struct { int w, h; int32_t *value[3], *trust; } level;     /* value Q4; 
 struct orl_blend {
     int w, h, pw, ph;
     int box_x, box_y;                   /* footprint of a wide pixel in the photo, Q8, >= 256 */
-    uint64_t inverse;                   /* 2^40 / footprint */
-    int cell, gw, gh, levels;
+    int16_t *column, *row;              /* the warp's shares */
+    int rows, parts, narrow;
+    int cell_log2, cell, gw, gh, levels;
     int *x0, *x1;                       /* covered columns of each row, */
     int *in0, *in1;                     /* and those in which the photo stands alone */
     int32_t *at;                        /* [pixel][2] the footprint's corner in the photo, Q8 */
@@ -30,8 +31,6 @@ struct orl_blend {
     uint8_t *warped;                    /* [pixel][3] */
     int64_t *sum;                       /* [layer][cell][4]: three differences and their weight */
     int32_t *fade;                      /* [cell] Q8 */
-    uint8_t *cell_of;                   /* [w / ORL_MIX_STEP] left cell */
-    int16_t *share;                     /* [w] of the right one, Q15 */
     level pyramid[LAYERS][LEVELS];
     const uint8_t *photo;
     uint8_t *wide;
@@ -46,7 +45,9 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     int side = w > h ? w : h;
     b->w = w;
     b->h = h;
-    b->cell = ((side + CELLS - 1) / CELLS + CELL_STEP - 1) / CELL_STEP * CELL_STEP;
+    b->cell_log2 = CELL_LOG2;
+    while (CELLS << b->cell_log2 < side) b->cell_log2++;
+    b->cell = 1 << b->cell_log2;
     b->gw = (w + b->cell - 1) / b->cell;
     b->gh = (h + b->cell - 1) / b->cell;
     b->x0 = orl_arena_take(a, (size_t)h * sizeof *b->x0);
@@ -58,11 +59,11 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     b->seam = orl_arena_take(a, n);
     b->layer = orl_arena_take(a, n);
     b->warped = orl_arena_take(a, n * 3);
+    b->column = orl_arena_take(a, 256 * ORL_WARP_PARTS * 16 * sizeof *b->column);
+    b->row = orl_arena_take(a, 256 * ORL_WARP_ROWS * sizeof *b->row);
     size_t cells = (size_t)b->gw * (size_t)b->gh;
     b->sum = orl_arena_take(a, LAYERS * cells * 4 * sizeof *b->sum);
     b->fade = orl_arena_take(a, cells * sizeof *b->fade);
-    b->cell_of = orl_arena_take(a, (size_t)w / ORL_MIX_STEP + 1);
-    b->share = orl_arena_take(a, (size_t)w * sizeof *b->share);
     for (int k = 0; k < LAYERS; k++) {
         int gw = b->gw, gh = b->gh;
         for (b->levels = 0; b->levels < LEVELS; ) {
@@ -119,6 +120,34 @@ static double smooth(double t)
     return t * t * (3 - 2 * t);
 }
 
+/* Shares Q15 of a box's pixels, by the fraction of its corner; count: of them that a fraction can have. */
+static int shares(int box, int fraction, int16_t out[ORL_WARP_ROWS])
+{
+    int n = (fraction + box + 255) >> 8, rest = 32767;
+    for (int k = 0; k < n; k++) {
+        int left = k ? k << 8 : fraction, right = (k + 1) << 8 < fraction + box ? (k + 1) << 8 : fraction + box;
+        out[k] = (int16_t)(k == n - 1 ? rest : ((right - left) * 32767 + box / 2) / box);
+        rest -= out[k];
+    }
+    return n;
+}
+
+static void warp_shares(orl_blend *b)
+{
+    int16_t one[ORL_WARP_ROWS];
+    int most = (255 + b->box_x + 255) >> 8;
+    b->rows = (255 + b->box_y + 255) >> 8;
+    b->narrow = most <= 2 && b->rows <= 2;
+    b->parts = (most + ORL_WARP_PART - 1) / ORL_WARP_PART;
+    memset(b->column, 0, 256 * ORL_WARP_PARTS * 16 * sizeof *b->column);
+    memset(b->row, 0, 256 * ORL_WARP_ROWS * sizeof *b->row);
+    for (int f = 0; f < 256; f++) {
+        int n = shares(b->box_x, f, one);
+        for (int k = 0; k < n; k++) for (int c = 0; c < 3; c++) b->column[(f * b->parts + k / ORL_WARP_PART) * 16 + k % ORL_WARP_PART * 3 + c] = one[k];
+        shares(b->box_y, f, b->row + f * ORL_WARP_ROWS);
+    }
+}
+
 static int clampi(int v, int lo, int hi) { return v < lo ? lo : v > hi ? hi : v; }
 
 /* Does the footprint at (u, v) touch a masked pixel? */
@@ -146,6 +175,7 @@ static void place(void *user, int begin, int end)
             size_t i = (size_t)y * (size_t)b->w + (size_t)x;
             double d[3], uv[2];
             b->weight[i] = b->seam[i] = 0;
+            b->at[2 * i] = b->at[2 * i + 1] = 0;
             photo_ray(wide, turn, x + 0.5, y + 0.5, d);
             if (!photo_pixel(photo, d, uv)) continue;
             double dx = uv[0] < b->pw - uv[0] ? uv[0] : b->pw - uv[0], dy = uv[1] < b->ph - uv[1] ? uv[1] : b->ph - uv[1], in = (dx < dy ? dx : dy) / feather;
@@ -213,14 +243,7 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     b->box_y = footprint(photo->fy, wide->fy);
     if (b->box_x > b->pw * 256) b->box_x = b->pw * 256;
     if (b->box_y > b->ph * 256) b->box_y = b->ph * 256;
-    uint64_t area = (uint64_t)b->box_x * (uint64_t)b->box_y;
-    b->inverse = (((uint64_t)1 << 40) + area / 2) / area;
-    for (int x = 0; x < b->w; x++) {
-        int step = x / ORL_MIX_STEP * ORL_MIX_STEP, left = step < b->cell / 2 ? 0 : (step - b->cell / 2) / b->cell;
-        left = b->gw > 1 ? clampi(left, 0, b->gw - 2) : 0;
-        b->cell_of[x / ORL_MIX_STEP] = (uint8_t)left;
-        b->share[x] = (int16_t)clampi((2 * x + 1 - (2 * left + 1) * b->cell) * 16384 / b->cell, 0, 32767);
-    }
+    warp_shares(b);
     orl_parallel(threads, b->h, 16, place, &(place_job){ b, photo, wide, turn, mask });
     set_fade(b, photo, wide, turn);
     *out = b;
@@ -236,33 +259,6 @@ void orl_blend_covered(const orl_blend *b, int y, int *x0, int *x1) { *x0 = b->i
 
 /* ---- per frame ---- */
 
-/* Mean of the photo over the footprint at (u, v). */
-static void average(const orl_blend *b, int u, int v, uint8_t rgb[3])
-{
-    uint64_t sum[3] = { 0, 0, 0 };
-    int u1 = u + b->box_x, v1 = v + b->box_y;
-    for (int y = v >> 8; y << 8 < v1; y++) {
-        int top = y << 8 > v ? y << 8 : v, bottom = (y + 1) << 8 < v1 ? (y + 1) << 8 : v1;
-        const uint8_t *p = b->photo + ((size_t)y * (size_t)b->pw + (size_t)(u >> 8)) * 3;
-        uint32_t r = 0, g = 0, bl = 0;      /* 64 pixels of Q8 weight at most: below 2^23 */
-        for (int x = u >> 8; x << 8 < u1; x++, p += 3) {
-            int left = x << 8 > u ? x << 8 : u, right = (x + 1) << 8 < u1 ? (x + 1) << 8 : u1;
-            uint32_t wx = (uint32_t)(right - left);
-            r += wx * p[0];
-            g += wx * p[1];
-            bl += wx * p[2];
-        }
-        uint64_t wy = (uint64_t)(bottom - top);
-        sum[0] += wy * r;
-        sum[1] += wy * g;
-        sum[2] += wy * bl;
-    }
-    for (int c = 0; c < 3; c++) {
-        uint64_t m = (sum[c] * b->inverse + ((uint64_t)1 << 39)) >> 40;
-        rgb[c] = (uint8_t)(m > 255 ? 255 : m);
-    }
-}
-
 /* Geman-McClure weight of a difference of d levels, Q8. */
 static int robust(int d)
 {
@@ -270,39 +266,46 @@ static int robust(int d)
     return a * a >> 8;
 }
 
-/* The same for a footprint of one photo pixel, that is where the wide view is the finer one: four pixels at most. */
-static void interpolate(const orl_blend *b, int u, int v, uint8_t rgb[3])
+typedef struct { orl_blend *b; orl_kernels k; uint16_t robust[256]; } apply_job;
+
+/* What columns [x0, x1) of a row of the seam say to its cells: one pixel in `stride`, so that a cell asks SEAM x SEAM whatever its size. */
+static void seam(const apply_job *j, int y, int x0, int x1, int64_t (*sums)[4])
 {
-    const uint32_t fx = u & 255, fy = v & 255, w[4] = { (256 - fx) * (256 - fy), fx * (256 - fy), (256 - fx) * fy, fx * fy };
-    const uint8_t *p = b->photo + ((size_t)(v >> 8) * (size_t)b->pw + (size_t)(u >> 8)) * 3, *right = p + (fx ? 3 : 0), *low = p + (fy ? 3 * (size_t)b->pw : 0), *last = low + (right - p);
-    for (int c = 0; c < 3; c++) rgb[c] = (uint8_t)((w[0] * p[c] + w[1] * right[c] + w[2] * low[c] + w[3] * last[c] + (1 << 15)) >> 16);
+    const orl_blend *b = j->b;
+    const size_t cells = (size_t)b->gw * (size_t)b->gh;
+    const int stride = b->cell / SEAM;
+    for (int x = (x0 + stride - 1) / stride * stride; x < x1; x += stride) {
+        size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+        const uint8_t *p = b->warped + 3 * i, *r = b->wide + 3 * i;
+        if (!b->seam[i]) continue;
+        int d[3] = { p[0] - r[0], p[1] - r[1], p[2] - r[2] }, worst = 0;
+        for (int c = 0; c < 3; c++) worst = abs(d[c]) > worst ? abs(d[c]) : worst;
+        int w = b->seam[i] * j->robust[worst];
+        int64_t *s = sums[(size_t)(b->layer[i] >= 128) * cells + (size_t)(x >> b->cell_log2)];
+        for (int c = 0; c < 3; c++) s[c] += d[c] * w;
+        s[3] += w;
+    }
 }
 
 /* Rows of cells: the photo into the wide raster, the seam's differences into the cells. */
 static void measure(void *user, int begin, int end)
 {
-    orl_blend *b = user;
-    size_t cells = (size_t)b->gw * (size_t)b->gh;
-    const int fine = b->box_x == 256 && b->box_y == 256;
+    const apply_job *j = user;
+    const orl_blend *b = j->b;
+    const size_t cells = (size_t)b->gw * (size_t)b->gh;
+    orl_warp_in in = { .photo = b->photo, .stride = 3 * (size_t)b->pw, .bytes = 3 * (size_t)b->pw * (size_t)b->ph, .rows = b->rows, .parts = b->parts, .narrow = b->narrow, .column = b->column, .row = b->row };
     for (int cy = begin; cy < end; cy++) {
-        for (int k = 0; k < LAYERS; k++) memset(b->sum + ((size_t)k * cells + (size_t)cy * (size_t)b->gw) * 4, 0, (size_t)b->gw * 4 * sizeof *b->sum);
+        int64_t (*sums)[4] = (int64_t (*)[4])b->sum + (size_t)cy * (size_t)b->gw;
+        for (int k = 0; k < LAYERS; k++) memset(sums + (size_t)k * cells, 0, (size_t)b->gw * sizeof *sums);
         int y1 = (cy + 1) * b->cell < b->h ? (cy + 1) * b->cell : b->h;
-        for (int y = cy * b->cell; y < y1; y++)
-            for (int x = b->x0[y]; x < b->x1[y]; x++) {
-                size_t i = (size_t)y * (size_t)b->w + (size_t)x;
-                uint8_t *p = b->warped + 3 * i;
-                const uint8_t *r = b->wide + 3 * i;
-                if (!b->weight[i] && !b->seam[i]) continue;
-                if (fine) interpolate(b, b->at[2 * i], b->at[2 * i + 1], p);
-                else average(b, b->at[2 * i], b->at[2 * i + 1], p);
-                if (!b->seam[i]) continue;
-                int d[3] = { p[0] - r[0], p[1] - r[1], p[2] - r[2] }, worst = 0;
-                for (int c = 0; c < 3; c++) worst = abs(d[c]) > worst ? abs(d[c]) : worst;
-                int w = b->seam[i] * robust(worst);
-                int64_t *s = b->sum + ((size_t)(b->layer[i] >= 128) * cells + (size_t)(cy * b->gw + x / b->cell)) * 4;
-                for (int c = 0; c < 3; c++) s[c] += (int64_t)d[c] * w;
-                s[3] += w;
-            }
+        for (int y = cy * b->cell; y < y1; y++) {
+            size_t i = (size_t)y * (size_t)b->w + (size_t)b->x0[y];
+            in.at = (const int32_t (*)[2])b->at + i;
+            j->k.warp(&in, b->x1[y] - b->x0[y], b->warped + 3 * i);
+            if (y % (b->cell / SEAM)) continue;
+            seam(j, y, b->x0[y], b->in1[y] > b->in0[y] ? b->in0[y] : b->x1[y], sums);
+            if (b->in1[y] > b->in0[y]) seam(j, y, b->in1[y], b->x1[y], sums);
+        }
     }
 }
 
@@ -341,7 +344,7 @@ static void pull(const level *coarse, level *fine)
 static void spread(orl_blend *b)
 {
     size_t cells = (size_t)b->gw * (size_t)b->gh;
-    int64_t full = (int64_t)b->cell * b->cell * 255 * 256 / 4;     /* a quarter of a cell's pixels in full agreement: trusted */
+    int64_t full = SEAM * SEAM * 255 * 256 / 4;     /* a quarter of a cell's pixels in full agreement: trusted */
     for (int k = 0; k < LAYERS; k++) {
         level *l = b->pyramid[k];
         for (size_t i = 0; i < cells; i++) {
@@ -357,45 +360,64 @@ static void spread(orl_blend *b)
     }
 }
 
-typedef struct { orl_blend *b; orl_kernels k; } mix_job;
+/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP. */
+static void mix_span(const apply_job *j, orl_mix_in *in, int y, int x, int end)
+{
+    const orl_blend *b = j->b;
+    size_t i = (size_t)y * (size_t)b->w + (size_t)x;
+    int n = (end - x) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, rest = end - x - n;
+    in->x = x;
+    in->layer = b->layer + i;
+    in->weight = b->weight + i;
+    in->photo = b->warped + 3 * i;
+    j->k.mix(in, n, b->wide + 3 * i);
+    if (!rest) return;
+    uint8_t layer[ORL_KERNEL_STEP] = { 0 }, weight[ORL_KERNEL_STEP] = { 0 }, photo[3 * ORL_KERNEL_STEP] = { 0 }, rgb[3 * ORL_KERNEL_STEP] = { 0 };
+    i += (size_t)n;
+    in->x = x + n;
+    in->layer = memcpy(layer, b->layer + i, (size_t)rest);
+    in->weight = memcpy(weight, b->weight + i, (size_t)rest);
+    in->photo = memcpy(photo, b->warped + 3 * i, 3 * (size_t)rest);
+    memcpy(rgb, b->wide + 3 * i, 3 * (size_t)rest);
+    j->k.mix(in, ORL_KERNEL_STEP, rgb);
+    memcpy(b->wide + 3 * i, rgb, 3 * (size_t)rest);
+}
 
 static void mix(void *user, int begin, int end)
 {
-    const mix_job *j = user;
+    const apply_job *j = user;
     const orl_blend *b = j->b;
-    int16_t cell[CELLS + 1][3][2];
+    int16_t node[3][LAYERS][CELLS + 2 + ORL_NODES_MORE];
+    orl_mix_in in = { .log2 = b->cell_log2 };
+    memset(node, 0, sizeof node);
+    for (int c = 0; c < 3; c++) for (int k = 0; k < LAYERS; k++) in.node[c][k] = node[c][k];
     for (int y = begin; y < end; y++) {
         int q = clampi(((2 * y + 1) * 128) / b->cell - 128, 0, (b->gh - 1) * 256), cy = clampi(q >> 8, 0, b->gh > 1 ? b->gh - 2 : 0), fy = b->gh > 1 ? q - cy * 256 : 0;
-        for (int k = 0; k < LAYERS; k++)
-            for (int c = 0; c < 3; c++) {           /* down between cells; the kernel goes along them */
+        for (int c = 0; c < 3; c++)
+            for (int k = 0; k < LAYERS; k++) {      /* down between cells; the kernel goes along them */
                 const int32_t *top = b->pyramid[k][0].value[c] + cy * b->gw, *low = b->gh > 1 ? top + b->gw : top;
-                for (int x = 0; x < b->gw; x++) cell[x][c][k] = (int16_t)((top[x] * (256 - fy) + low[x] * fy + 64) >> 7);
-                cell[b->gw][c][k] = cell[b->gw - 1][c][k];
+                int16_t *to = node[c][k] + 1;
+                for (int x = 0; x < b->gw; x++) to[x] = (int16_t)((top[x] * (256 - fy) + low[x] * fy + 64) >> 7);
+                to[-1] = to[0];
+                to[b->gw] = to[b->gw - 1];
             }
-        size_t i = (size_t)y * (size_t)b->w;
-        int n = b->w / ORL_MIX_STEP * ORL_MIX_STEP, rest = b->w - n;
-        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of, b->share, b->layer + i, b->weight + i, b->warped + 3 * i }, n, b->wide + 3 * i);
-        if (!rest) continue;
-        uint8_t layer[ORL_MIX_STEP] = { 0 }, weight[ORL_MIX_STEP] = { 0 }, photo[3 * ORL_MIX_STEP] = { 0 }, rgb[3 * ORL_MIX_STEP] = { 0 };
-        int16_t share[ORL_MIX_STEP] = { 0 };
-        i += (size_t)n;
-        memcpy(layer, b->layer + i, (size_t)rest);
-        memcpy(weight, b->weight + i, (size_t)rest);
-        memcpy(share, b->share + n, (size_t)rest * sizeof *share);
-        memcpy(photo, b->warped + 3 * i, 3 * (size_t)rest);
-        memcpy(rgb, b->wide + 3 * i, 3 * (size_t)rest);
-        j->k.mix(&(orl_mix_in){ (const int16_t (*)[3][2])cell, b->cell_of + n / ORL_MIX_STEP, share, layer, weight, photo }, ORL_MIX_STEP, rgb);
-        memcpy(b->wide + 3 * i, rgb, 3 * (size_t)rest);
+        int in0 = (b->in0[y] + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, in1 = b->in1[y] / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
+        if (in0 >= in1) { mix_span(j, &in, y, 0, b->w); continue; }
+        size_t i = (size_t)y * (size_t)b->w + (size_t)in0;
+        mix_span(j, &in, y, 0, in0);
+        memcpy(b->wide + 3 * i, b->warped + 3 * i, 3 * (size_t)(in1 - in0));
+        mix_span(j, &in, y, in1, b->w);
     }
 }
 
 void orl_blend_apply(orl_blend *b, const uint8_t *photo, uint8_t *wide, unsigned cpu, int threads)
 {
-    mix_job j = { .b = b };
+    apply_job j = { .b = b };
     orl_kernels_init(&j.k, cpu);
+    for (int d = 0; d < 256; d++) j.robust[d] = (uint16_t)robust(d);
     b->photo = photo;
     b->wide = wide;
-    orl_parallel(threads, b->gh, 1, measure, b);
+    orl_parallel(threads, b->gh, 1, measure, &j);
     spread(b);
     orl_parallel(threads, b->h, 16, mix, &j);
 }

@@ -14,13 +14,15 @@
 #include "runtime/widen.h"
 
 static const char HELP[] =
-    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE) [OPTION]...\n"
+    "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --convert | --mlp) [OPTION]...\n"
     "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a new pose and of a camera loop. One thread, a new pose also on all cores; best of several runs; ratios\n"
     "are taken in one run.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
-    "  --source SOURCE  replay:PATH: also the stages of a new pose's first picture and of `oriel run` on these pictures\n"
+    "  --convert        alone: conversion of every camera format to RGB, on made-up pictures\n"
+    "  --mlp            alone: the int8 network beside the machine's peak and, where it is built in, XNNPACK\n"
+    "  --source SOURCE  as of run: also the stages of a new pose's first picture and of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
     "  --size WxH       size of the wide picture\n"
@@ -28,9 +30,9 @@ static const char HELP[] =
     "  --help           this text\n\n"
     "Columns: milliseconds; times memcpy of as many bytes, reads and writes counted on both sides; dB against the float model on the same view.\n";
 
-enum { RUNS = 5 };
+enum { RUNS = 9 };
 static const char *const VARIANT[] = {
-#define NAME(n) n,
+#define NAME(n) #n,
     ORL_KERNEL_VARIANTS(NAME)
 #undef NAME
 };
@@ -39,7 +41,7 @@ enum { VARIANTS = sizeof VARIANT / sizeof *VARIANT };
 typedef struct {
     const char *scene, *baked, *source;
     orl_view_request view;
-    int frames, json;
+    int frames, json, convert, mlp;
 } options;
 
 /* ---- rows */
@@ -84,6 +86,8 @@ static void say(const options *o, const row *r)
     fflush(stdout);
 }
 
+static void say_convert(void *o, const char *name, const char *variant, double seconds, size_t bytes) { say(o, &(row){ name, variant, seconds, NAN, bytes }); }
+
 /* ---- kernels on a view */
 
 /* The float model on the view's own pixels, in 8 bits as the kernels write them. */
@@ -120,24 +124,20 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
     }
     if (!e) {
         double a = orl_seconds();
-        orl_view_trace_sun(v, l, 0, v->h, orl_cpu_detect(), 1);
+        orl_view_trace_sun(v, l, 0, v->h, orl_cpu_detect(), 1);         /* of a baked view: for the reference */
         double sun = orl_seconds() - a;
         say(o, &(row){ "tables of a light", NULL, tables, NAN, 0 });
-        say(o, &(row){ v->ceiling ? "sun, looked up" : "sun, traced", NULL, sun, NAN, v->ceiling ? padded * 5 : 0 });
+        if (!v->ceiling) say(o, &(row){ "sun, traced", NULL, sun, NAN, 0 });
         reference(v, l, want);
     }
     for (int k = 0; !e && k < VARIANTS; k++) {
         unsigned cpu;
-        double relight = INFINITY, shade = INFINITY, laid = INFINITY;
+        double shade = INFINITY, laid = INFINITY;
         if (orl_cpu_from_name(VARIANT[k], &cpu)) continue;
         for (int i = 0; i < RUNS; i++) {
             double a = orl_seconds();
-            orl_view_relight(v, t, cpu, 0, v->h);
-            double b = orl_seconds();
             orl_view_shade(v, t, cpu, 0, v->h, rgb, 3 * (size_t)v->w);
-            double c = orl_seconds();
-            relight = fmin(relight, b - a);
-            shade = fmin(shade, c - b);
+            shade = fmin(shade, orl_seconds() - a);
         }
         double error_db = psnr(rgb, want, 3 * n);
         for (int i = 0; i < RUNS; i++) {
@@ -145,8 +145,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
             orl_blend_apply(blend, photo, rgb, cpu, 1);
             laid = fmin(laid, orl_seconds() - a);
         }
-        say(o, &(row){ "sun visibility", VARIANT[k], relight, NAN, padded * (2 + 1 + 2) });
-        say(o, &(row){ "shadow, shade, tone", VARIANT[k], shade, error_db, padded * (2 + 6 + 1 + 1 + 1 + ORL_SHADOW_DIM) + 3 * n });
+        say(o, &(row){ "sun, shade, tone", VARIANT[k], shade, error_db, padded * (3 + 3 + 1 + 1 + (v->ceiling ? 4 : 3) + ORL_SHADOW_DIM) + 3 * n });
         say(o, &(row){ "blend", VARIANT[k], laid, NAN, photo_bytes + n * (3 + 3 + 2) });
     }
     free(block);
@@ -181,7 +180,7 @@ static orl_err new_pose(const options *o, const orl_scene *s, const orl_view_pos
     if (e) return e;
     uint8_t *photo = malloc((size_t)source->info.w * (size_t)source->info.h * 3);
     if (!photo || orl_source_next(source, &f) != 1) e = photo ? orl_fail(ORL_E_FORMAT, "%s: no picture", o->source) : orl_fail(ORL_E_MEMORY, "no memory for a picture");
-    if (!e) orl_frame_to_rgb(&source->info, &f, 0, source->info.h, photo, (size_t)source->info.w * 3);
+    if (!e) orl_frame_to_rgb(&source->info, &f, orl_cpu_detect(), 0, source->info.h, photo, (size_t)source->info.w * 3);
     for (int n = 1; !e && n; n = n == 1 && orl_cores() > 1 ? orl_cores() : 0) {
         char threads[24];
         orl_pose_seconds t;
@@ -214,7 +213,7 @@ static orl_err loop(const options *o, orl_widen *w, orl_source *source)
         if (got < 0) continue;
         double t[4];
         t[0] = orl_seconds();
-        orl_frame_to_rgb(&source->info, &f, 0, source->info.h, photo, (size_t)source->info.w * 3);
+        orl_frame_to_rgb(&source->info, &f, w->config.cpu, 0, source->info.h, photo, (size_t)source->info.w * 3);
         t[1] = orl_seconds();
         e = orl_widen_adapt(w, photo);
         t[2] = orl_seconds();
@@ -289,7 +288,8 @@ static int parse(int argc, char **argv, options *o)
 {
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' },
-        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' }, { "help", no_argument, NULL, 'h' }, { 0 } };
+        { "frames", required_argument, NULL, 'n' }, { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "json", no_argument, NULL, 'j' },
+        { "convert", no_argument, NULL, 'k' }, { "mlp", no_argument, NULL, 'm' }, { "help", no_argument, NULL, 'h' }, { 0 } };
     int first = 1;
     orl_err e = ORL_OK;
     for (int c; !e && (c = orl_option_next(argc, argv, TABLE, &first)) != -1; ) {
@@ -299,7 +299,9 @@ static int parse(int argc, char **argv, options *o)
         case 'v': o->baked = optarg; break;
         case 'S': o->source = optarg; break;
         case 'n': e = orl_option_int("--frames", optarg, 2, 1 << 30, &o->frames); break;
+        case 'm': o->mlp = 1; break;
         case 'j': o->json = 1; break;
+        case 'k': o->convert = 1; break;
         case 'h': printf("%s", HELP); return -1;
         default:
             if (c == 'o') orl_fail(ORL_E_RANGE, "unknown option -o");
@@ -307,8 +309,9 @@ static int parse(int argc, char **argv, options *o)
         }
     }
     if (e) return ORL_EXIT_USAGE;
-    if (argc != optind || (o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
-        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose");
+    const int place = o->baked || o->scene || o->view.pose || o->source, alone = o->convert + o->mlp;
+    if (argc != optind || (alone ? place || alone > 1 : o->baked ? o->scene || o->view.pose || o->view.w || o->view.widen > 0 : !o->scene || !o->view.pose)) {
+        orl_fail(ORL_E_RANGE, "wanted are --view, or both --scene and --pose, or --convert or --mlp alone");
         return ORL_EXIT_USAGE;
     }
     return ORL_EXIT_DONE;
@@ -319,5 +322,5 @@ int orl_cmd_bench(int argc, char **argv)
     options o = { .view.otherwise = 1.8 };
     int code = parse(argc, argv, &o);
     if (code) return code < 0 ? ORL_EXIT_DONE : code;
-    return bench(&o) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
+    return (o.mlp ? orl_bench_mlp(o.json) : o.convert ? orl_bench_convert(say_convert, &o) : bench(&o)) ? ORL_EXIT_FAILED : ORL_EXIT_DONE;
 }

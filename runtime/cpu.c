@@ -9,7 +9,7 @@
 unsigned orl_cpu_detect(void)
 {
 #if defined(__x86_64__)
-    int avx512 = __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vbmi") && __builtin_cpu_supports("avx512vnni");
+    int avx512 = __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vbmi") && __builtin_cpu_supports("avx512vnni");
     return __builtin_cpu_supports("avx2") ? ORL_CPU_AVX2 | (avx512 ? ORL_CPU_AVX512 : 0) : ORL_CPU_REF;
 #elif defined(__aarch64__)
     return ORL_CPU_NEON | (getauxval(AT_HWCAP) & HWCAP_ASIMDDP ? ORL_CPU_DOTPROD : 0);

@@ -7,12 +7,12 @@
 #include "oriel/parallel.h"
 #include "runtime/commands.h"
 
-typedef struct { const orl_source_info *info; const orl_frame *frame; uint8_t *rgb; } conversion;
+typedef struct { const orl_source_info *info; const orl_frame *frame; unsigned cpu; uint8_t *rgb; } conversion;
 
 static void convert(void *user, int begin, int end)
 {
     conversion *c = user;
-    orl_frame_to_rgb(c->info, c->frame, begin, end, c->rgb, (size_t)c->info->w * 3);
+    orl_frame_to_rgb(c->info, c->frame, c->cpu, begin, end, c->rgb, (size_t)c->info->w * 3);
 }
 
 static void wait_until(double start, long frame, const orl_source_info *i)
@@ -42,7 +42,7 @@ orl_err orl_run_loop(orl_widen *w, orl_source *source, orl_sink *sink, const orl
             f.frames++;
             continue;
         }
-        conversion c = { &source->info, &frame, photo };
+        conversion c = { &source->info, &frame, w->config.cpu, photo };
         orl_parallel(w->config.threads, source->info.h, 32, convert, &c);
         t[1] = orl_seconds();
         if (!w->adapted || good % o->adapt_every == 0) e = orl_widen_adapt(w, photo);

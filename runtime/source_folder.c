@@ -51,7 +51,7 @@ static int folder_next(orl_source *s, orl_frame *out)
     }
     orl_image_free(&f->picture);
     f->picture = im;
-    *out = (orl_frame) { { im.px }, { (size_t)im.w * 3 } };
+    orl_frame_layout(&s->info, im.px, out);
     return 1;
 }
 
@@ -81,7 +81,7 @@ orl_err orl_source_folder(const char *dir, orl_source **out)
         orl_image im = { 0 };
         int i = 0;
         while (i < f->count && (e = load(f, i, &im))) i++;      /* if none can be read, the last one's message stands */
-        f->base.info = (orl_source_info) { im.w, im.h, ORL_PIX_RGB, 1, 25, 1 };
+        f->base.info = (orl_source_info) { .w = im.w, .h = im.h, .pixels = ORL_PIX_RGB, .full_range = 1, .fps_num = 25, .fps_den = 1 };
         orl_image_free(&im);
     }
     if (e) folder_close(&f->base);

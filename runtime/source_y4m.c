@@ -77,11 +77,7 @@ static int y4m_next(orl_source *s, orl_frame *out)
         y->ended = 1;
         return lost(y, "the stream ends within the picture");
     }
-    const orl_source_info *i = &s->info;
-    size_t luma = (size_t)i->w * (size_t)i->h, cw = i->pixels == ORL_PIX_444 ? (size_t)i->w : ((size_t)i->w + 1) / 2;
-    size_t ch = i->pixels == ORL_PIX_420 ? ((size_t)i->h + 1) / 2 : (size_t)i->h;
-    int mono = i->pixels == ORL_PIX_MONO;
-    *out = (orl_frame) { { y->picture, mono ? NULL : y->picture + luma, mono ? NULL : y->picture + luma + cw * ch }, { (size_t)i->w, mono ? 0 : cw, mono ? 0 : cw } };
+    orl_frame_layout(&s->info, y->picture, out);
     return 1;
 }
 
@@ -160,11 +156,10 @@ orl_err orl_source_y4m(FILE *f, const char *name, orl_source **out)
     if (read_line(f, line, sizeof line) < 0) e = orl_fail(ORL_E_FORMAT, "%s: not a Y4M stream (no header line within %d bytes)", name, HEADER_MAX);
     if (!e) e = parse(name, line, &y->base.info);
     if (!e) {
-        const orl_source_info *i = &y->base.info;
-        size_t luma = (size_t)i->w * (size_t)i->h, cw = ((size_t)i->w + 1) / 2;
-        y->bytes = luma + (i->pixels == ORL_PIX_444 ? 2 * luma : i->pixels == ORL_PIX_422 ? 2 * cw * (size_t)i->h : i->pixels == ORL_PIX_420 ? 2 * cw * (((size_t)i->h + 1) / 2) : 0);
+        orl_frame sizes;
+        y->bytes = orl_frame_layout(&y->base.info, NULL, &sizes);
         y->picture = malloc(y->bytes);
-        if (!y->picture) e = orl_fail(ORL_E_MEMORY, "%s: no memory for pictures of %d x %d", name, i->w, i->h);
+        if (!y->picture) e = orl_fail(ORL_E_MEMORY, "%s: no memory for pictures of %d x %d", name, y->base.info.w, y->base.info.h);
     }
     if (e) y4m_close(&y->base);
     else *out = &y->base;

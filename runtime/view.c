@@ -8,8 +8,7 @@
 #include "runtime/kernels/shade.h"
 #include "runtime/march.h"
 
-enum { NODES = 66, GRAIN = 4, CHUNK = 256, QUARTER = 255 * 256 };      /* QUARTER turn in units of the horizons' kernel */
-_Static_assert((int)ORL_VIEW_NORMALS == (int)ORL_PAL, "the palette of normals");
+enum { NODES = 66, GRAIN = 4, CHUNK = 1024, QUARTER = 255 * 256 };      /* QUARTER turn in units of the horizons' kernel */
 
 /* Directions on a coarse grid of pixel centres: node (i, j) is pixel (i << log2, j << log2). */
 typedef struct { int log2, nx, ny; float dir[NODES * NODES][3]; } sky_grid;
@@ -17,7 +16,7 @@ typedef struct { int log2, nx, ny; float dir[NODES * NODES][3]; } sky_grid;
 struct orl_view_light {
     orl_shade_tab tab;
     orl_vis_tab vis;
-    int16_t sky[NODES * NODES][4];      /* encoded sky at the nodes, Q13 */
+    int16_t sky[3][NODES * NODES];      /* encoded sky at the nodes, Q13 */
 };
 
 static size_t plane_size(const orl_view *v) { return (size_t)v->stride * (size_t)v->h; }
@@ -30,14 +29,13 @@ static size_t place(orl_view *v, uint8_t *block)
 {
     size_t n = (size_t)v->stride * (size_t)v->h, at = 0;
 #define PLANE(p, type, per) do { if (block) v->p = (type *)(block + at); at += orl_align64(n * per * sizeof(type)); } while (0)
-    PLANE(normal, uint16_t, 1);
-    for (int c = 0; c < 3; c++) PLANE(albedo[c], uint16_t, 1);
+    for (int c = 0; c < 3; c++) PLANE(normal[c], int8_t, 1);
+    for (int c = 0; c < 3; c++) PLANE(albedo[c], uint8_t, 1);
     PLANE(open, uint8_t, 1);
     PLANE(cov, uint8_t, 1);
     PLANE(horizon, uint8_t, ORL_HORIZON);
-    PLANE(phi, int8_t, ORL_SHADOW_DIM);
+    for (int g = 0; g < 2; g++) PLANE(phi[g], int8_t, ORL_PHI_GROUP);
     PLANE(fix, int8_t, 1);
-    PLANE(vis, uint8_t, 1);
     PLANE(depth, uint16_t, 1);
 #undef PLANE
     if (block) v->sky = block + at;
@@ -67,19 +65,13 @@ static int pixel_dir(const orl_view *v, double x, double y, double d[3])
     return 1;
 }
 
-static uint16_t palette_of(const double n[3])
-{
-    float f[3] = { (float)n[0], (float)n[1], (float)n[2] }, uv[2];
-    orl_oct_uv(f, uv);
-    int i = (int)((uv[0] + 1) * (ORL_PAL_SIDE / 2)), j = (int)((uv[1] + 1) * (ORL_PAL_SIDE / 2));
-    i = i < 0 ? 0 : i > ORL_PAL_SIDE - 1 ? ORL_PAL_SIDE - 1 : i;
-    j = j < 0 ? 0 : j > ORL_PAL_SIDE - 1 ? ORL_PAL_SIDE - 1 : j;
-    return (uint16_t)(j * ORL_PAL_SIDE + i);
-}
+static int8_t *phi_of(const orl_view *v, size_t at, int k) { return v->phi[k / ORL_PHI_GROUP] + at * ORL_PHI_GROUP + k % ORL_PHI_GROUP; }
 
-static void palette_dir(int index, float n[3])
+/* Base colour, Q16, in the view's bytes: by the kernels' own power. */
+static uint8_t albedo_byte(uint32_t q16)
 {
-    orl_oct_dir(((float)(index % ORL_PAL_SIDE) + 0.5f) / (ORL_PAL_SIDE / 2) - 1, ((float)(index / ORL_PAL_SIDE) + 0.5f) / (ORL_PAL_SIDE / 2) - 1, n);
+    int e = (int)(q16 / 2);
+    return (uint8_t)(e < 2 ? 0 : (orl_power_ref(e) * 255 + (1 << 14)) >> 15);
 }
 
 /* ---- building */
@@ -214,10 +206,10 @@ typedef struct { uint32_t albedo[3]; int32_t lite[ORL_LITE_BYTES], phi[ORL_SHADO
 static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t at, const sums *s, int m)
 {
     const int32_t one = m << 8, half = m << 7;
-    for (int c = 0; c < 3; c++) v->albedo[c][at] = (uint16_t)((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
+    for (int c = 0; c < 3; c++) v->albedo[c][at] = albedo_byte((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
     v->open[at] = (uint8_t)((s->lite[0] + half) / one);
     for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((uint32_t)(s->lite[1 + i] + half) / (uint32_t)one);
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) v->phi[at * ORL_SHADOW_DIM + (size_t)k] = (int8_t)((s->phi[k] < 0 ? s->phi[k] - half : s->phi[k] + half) / one);     /* half away from zero */
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) *phi_of(v, at, k) = (int8_t)((s->phi[k] < 0 ? s->phi[k] - half : s->phi[k] + half) / one);     /* half away from zero */
     int64_t depth = (s->t / m + (1 << 11)) >> 12;
     v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
 }
@@ -271,7 +263,8 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
     }
     if (!hits) return;
     size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-    v->normal[at] = palette_of(n);
+    double len = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    for (int a = 0; a < 3 && len > 0; a++) v->normal[a][at] = (int8_t)(n[a] < 0 ? 127 * n[a] / len - 0.5 : 127 * n[a] / len + 0.5);
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
     switch (hits) {         /* constant divisors */
     case 1: put_means(v, at, &sum, 1); break;
@@ -361,14 +354,13 @@ static void clear_rows(void *user, int begin, int end)
 {
     const orl_view *v = user;
     size_t at = (size_t)begin * (size_t)v->stride, n = (size_t)(end - begin) * (size_t)v->stride;
-    memset(v->normal + at, 0, n * sizeof *v->normal);
-    for (int c = 0; c < 3; c++) memset(v->albedo[c] + at, 0, n * sizeof *v->albedo[c]);
+    for (int c = 0; c < 3; c++) memset(v->normal[c] + at, 0, n);
+    for (int c = 0; c < 3; c++) memset(v->albedo[c] + at, 0, n);
     memset(v->open + at, 0, n);
     memset(v->cov + at, 0, n);
     for (size_t i = 0; i < ORL_HORIZON; i++) memset(v->horizon + i * plane_size(v) + at, 0, n);
-    memset(v->phi + at * ORL_SHADOW_DIM, 0, n * ORL_SHADOW_DIM);
+    for (int g = 0; g < 2; g++) memset(v->phi[g] + at * ORL_PHI_GROUP, 0, n * ORL_PHI_GROUP);
     memset(v->fix + at, 0, n);
-    memset(v->vis + at, 255, n);
     memset(v->depth + at, 255, n * sizeof *v->depth);
 }
 
@@ -391,7 +383,7 @@ static void build_sky(orl_view *v)
 size_t orl_view_attach_need(int w, int h)
 {
     size_t n = (size_t)orl_view_stride(w) * (size_t)h;
-    return w > 0 && h > 0 ? orl_align64(n) + orl_align64(n) + orl_align64(sizeof(sky_grid)) : 0;
+    return w > 0 && h > 0 ? orl_align64(n) + orl_align64(sizeof(sky_grid)) : 0;
 }
 
 orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_view *out)
@@ -400,10 +392,8 @@ orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_vie
     orl_view v = *from;
     size_t n = (size_t)v.stride * (size_t)v.h;
     v.fix = block;
-    v.vis = (uint8_t *)block + orl_align64(n);
-    v.sky = v.vis + orl_align64(n);
+    v.sky = (uint8_t *)block + orl_align64(n);
     memset(v.fix, 0, n);
-    memset(v.vis, 255, n);
     build_sky(&v);
     *out = v;
     return ORL_OK;
@@ -451,14 +441,15 @@ void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out)
     double d[3] = { 0, 0, 1 };
     orl_sample s = { .open = (float)v->open[at] / 255, .cov = (float)v->cov[at] / 255 };
     pixel_dir(v, x + 0.5, y + 0.5, d);
-    palette_dir(v->normal[at], s.normal);
+    float n[3] = { v->normal[0][at], v->normal[1][at], v->normal[2][at] }, len = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     for (int c = 0; c < 3; c++) {
-        s.albedo[c] = (float)v->albedo[c][at] / 65535;
+        s.normal[c] = len > 0 ? n[c] / len : c == 2;
+        s.albedo[c] = orl_powf((float)v->albedo[c][at] / 255, 2.4f);
         s.dir[c] = (float)d[c];
     }
     for (int i = 0; i < ORL_HORIZON; i++) s.horizon[i] = (float)v->horizon[(size_t)i * plane_size(v) + at] * (1.57079633f / 255);
     s.fix = (float)v->fix[at] * (1 / 127.0f);
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) s.phi[k] = (float)v->phi[at * ORL_SHADOW_DIM + (size_t)k] * v->phi_scale[k];
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) s.phi[k] = (float)*phi_of(v, at, k) * v->phi_scale[k];
     *out = s;
 }
 
@@ -468,58 +459,81 @@ static float clampf(float v, float lo, float hi) { return v > lo ? (v < hi ? v :
 static int32_t rounded(float v) { return (int32_t)(v < 0 ? v - 0.5f : v + 0.5f); }
 static float exp2i(int e) { uint32_t bits = (uint32_t)(e + 127) << 23; float f; memcpy(&f, &bits, 4); return f; }
 
-/* Irradiance / pi of sun, sky and ground for one normal. */
-static void palette_light(const orl_light *l, int index, float e[3][3])
+/* Nine terms of a unit normal: shade.h's. */
+static void sky_terms(const float n[3], double t[ORL_SKY_TERMS])
 {
-    const float inv_pi = 0.318309886f;
-    float n[3], sky[3];
-    palette_dir(index, n);
-    float cosine = clampf(n[0] * l->sun_dir[0] + n[1] * l->sun_dir[1] + n[2] * l->sun_dir[2], 0, 1);
-    orl_light_esky(l, n, sky);
-    for (int c = 0; c < 3; c++) {
-        e[0][c] = clampf(inv_pi * cosine * l->sun_rgb[c], 0, 1e9f);
-        e[1][c] = clampf(inv_pi * sky[c], 0, 1e9f);
-        e[2][c] = clampf(inv_pi * 0.5f * (1 - n[2]) * l->eground[c], 0, 1e9f);
-    }
+    const double x = n[0], y = n[1], z = n[2];
+    memcpy(t, (const double[ORL_SKY_TERMS]){ 1, x, y, z, x * y, y * z, z * x, x * x - y * y, z * z }, ORL_SKY_TERMS * sizeof *t);
 }
 
-static void make_palette(orl_shade_tab *t, const orl_light *l)
+/* Least squares over directions: the sky's irradiance in those terms, within 1 % of its peak in the places and lights seen (0.3 % rms; Ramamoorthi and Hanrahan, SIGGRAPH 2001, say why). top: its greatest with ground. */
+static void fit_sky(const orl_light *l, double k[3][ORL_SKY_TERMS], float top[3])
 {
-    float top = 0, e[3][3];
-    for (int i = 0; i < ORL_PAL; i++) {
-        palette_light(l, i, e);
-        for (int c = 0; c < 3; c++) if (e[0][c] + e[1][c] + e[2][c] > top) top = e[0][c] + e[1][c] + e[2][c];
-    }
-    int k = 20;
-    while (k > 4 && top * exp2i(k) > 32764) k--;        /* room for the rounding of three terms */
-    t->colour_shift = k - 4;
-    for (int i = 0; i < ORL_PAL; i++) {
-        palette_light(l, i, e);
-        for (int p = 0; p < 3; p++) {
-            for (int c = 0; c < 3; c++) t->pal[i][4 * p + c] = (int16_t)clampf(e[p][c] * exp2i(k) + 0.5f, 0, 32767);
-            t->pal[i][4 * p + 3] = 0;
+    enum { SIDE = 16, N = ORL_SKY_TERMS };
+    double a[N][N + 3] = { { 0 } };
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        float n[3], e[3];
+        double t[N];
+        orl_oct_dir(((float)(i % SIDE) + 0.5f) / (SIDE / 2) - 1, ((float)(i / SIDE) + 0.5f) / (SIDE / 2) - 1, n);
+        orl_light_esky(l, n, e);
+        sky_terms(n, t);
+        for (int c = 0; c < 3; c++) {
+            e[c] = clampf(e[c], 0, 1e9f);
+            float both = e[c] + 0.5f * (1 - n[2]) * clampf(l->eground[c], 0, 1e9f);
+            if (!i || both > top[c]) top[c] = both;
+        }
+        for (int r = 0; r < N; r++) {
+            for (int q = 0; q < N; q++) a[r][q] += t[r] * t[q];
+            for (int c = 0; c < 3; c++) a[r][N + c] += t[r] * e[c];
         }
     }
+    for (int p = 0; p < N; p++)             /* the directions are the same for every light, and far from singular */
+        for (int r = 0; r < N; r++) {
+            if (r == p) continue;
+            double f = a[r][p] / a[p][p];
+            for (int q = p; q < N + 3; q++) a[r][q] -= f * a[p][q];
+        }
+    for (int c = 0; c < 3; c++) for (int r = 0; r < N; r++) k[c][r] = a[r][N + c] / a[r][r];
 }
 
-static void make_luts(orl_shade_tab *t)
+static int16_t entry(double v) { return (int16_t)(v > -32767 ? v < 32767 ? v < 0 ? v - 0.5 : v + 0.5 : 32767 : -32767); }     /* NaN -> -32767 */
+
+/* Normals are 127 / 128, openness is 255 / 256 of what it stands for: the tables make up for it. */
+static void make_light(orl_shade_tab *t, const orl_light *l)
 {
-    for (int i = 0; i <= ORL_ENCODE_KNOTS; i++) {
-        int32_t e = rounded(8192 * orl_light_encode(exp2i(i / 16 - 20) * (1 + (float)(i % 16) / 16)));
-        if (i < ORL_ENCODE_KNOTS) t->encode[i].base = (int16_t)e;
-        if (i) t->encode[i - 1].delta = (int16_t)(e - t->encode[i - 1].base);
+    const double inv_pi = 0.318309886, up = 128.0 / 127, term[ORL_SKY_TERMS] = { 1, up, up, up, up * up, up * up, up * up, up * up, up * up };
+    double sky[3][ORL_SKY_TERMS], sun[3], ground[3], most = 0;
+    float top[3];
+    fit_sky(l, sky, top);
+    for (int c = 0; c < 3; c++) {
+        sun[c] = inv_pi * clampf(l->sun_rgb[c], 0, 1e9f);
+        ground[c] = inv_pi * 0.5 * clampf(l->eground[c], 0, 1e9f);
+        double sum = sun[c] + inv_pi * top[c] * 1.03;
+        most = sum > most ? sum : most;
+        for (int k = 0; k < ORL_SKY_TERMS; k++) {
+            sky[c][k] *= inv_pi * term[k] * (256.0 / 255);
+            most = sky[c][k] > most ? sky[c][k] : -sky[c][k] > most ? -sky[c][k] : most;
+        }
     }
-    for (int i = 0; i <= ORL_SIGMOID_KNOTS; i++) {
-        int32_t e = rounded(32767 / (1 + orl_expf(8 - (float)i / 16)));
-        if (i < ORL_SIGMOID_KNOTS) t->sigmoid[i].base = (int16_t)e;
-        if (i) t->sigmoid[i - 1].delta = (int16_t)(e - t->sigmoid[i - 1].base);
+    int k = 20;
+    while (k > 4 && most * exp2i(k) > 32700) k--;
+    const double one = exp2i(k);
+    for (int c = 0; c < 3; c++) {
+        t->sun_dir[c] = entry(32767 * (double)clampf(l->sun_dir[c], -1, 1));
+        t->sun[c] = entry(one * sun[c] * up);
+        for (int i = 0; i < ORL_SKY_TERMS; i++) t->sky[c][i] = entry(one * sky[c][i]);
+        t->ground[c][0] = entry(one * ground[c]);
+        t->ground[c][1] = entry(one * ground[c] * up);
     }
+    double gain = 1.055 * 8192 * (256.0 / 255) * 1.0003 * (double)orl_powf(exp2i(15 - k), 5.0f / 12);      /* 1.0003: what the power falls short of */
+    for (t->gain_shift = 0; gain > 32767; gain /= 2) t->gain_shift++;
+    t->gain = entry(gain);
 }
 
-/* Shadow code in the features' scales, one power of two for all, at most 8 an entry (the sigmoid is flat long before). */
+/* Shadow code in the features' scales, one power of two for all, at most 8 an entry (the sigmoid is flat long before); the sigmoid's root in pieces of 1, each a parabola through both ends and the middle. */
 static void make_shadow(orl_shade_tab *t, const orl_view *v, const orl_light *l)
 {
-    float w[ORL_SHADOW_DIM], top = 0;
+    float w[ORL_SHADOW_DIM], top = 0, f[3] = { 0 };
     for (int k = 0; k < ORL_SHADOW_DIM; k++) {
         w[k] = clampf(l->code[ORL_C_SHADOW + k] * v->phi_scale[k], -7.9f, 7.9f);
         top = w[k] > top ? w[k] : -w[k] > top ? -w[k] : top;
@@ -530,25 +544,40 @@ static void make_shadow(orl_shade_tab *t, const orl_view *v, const orl_light *l)
     t->phi_bias = rounded((ORL_SHADOW_BIAS + 8) * 2048);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) {
         int x = rounded(w[k] * exp2i(q)), hi = (x + 64) >> 7;
-        t->phi_w[k] = (int16_t)x;
-        t->phi_hi[k] = t->phi_hi[k + ORL_SHADOW_DIM] = (int8_t)hi;
-        t->phi_lo[k] = t->phi_lo[k + ORL_SHADOW_DIM] = (int8_t)(x - 128 * hi);
+        t->phi_hi[k] = (int8_t)hi;
+        t->phi_lo[k] = (int8_t)(x - 128 * hi);
     }
+    for (int i = 0; i < ORL_SHADOW_KNOTS; i++) {
+        for (int k = 0; k < 3; k++) f[k] = 32767 * orl_powf(1 / (1 + orl_expf(8 - (float)i - 0.5f * (float)k)), 5.0f / 12);
+        float bend = 2 * (f[0] - 2 * f[1] + f[2]);
+        t->shadow[0][i] = entry(f[0]);
+        t->shadow[1][i] = entry(f[2] - f[0] - bend);
+        t->shadow[2][i] = entry(bend);
+    }
+    t->no_shadow = entry(32767 * orl_powf(1 / (1 + orl_expf(-ORL_SHADOW_BIAS)), 5.0f / 12));
 }
 
-/* Rows whose entries sum above 8 are scaled down to it: no photo's tone is near. */
+/* tone_shift: the greatest at which a row of colours of at most 3.49 leaves 16 bits nowhere. What 16 times white or more takes off or adds is cut, as are rows whose entries sum above 15.9: no photo's tone is near. */
 static void make_tone(orl_shade_tab *t, const orl_light *l)
 {
+    float a[3][3], b[3], most = 0;
     for (int c = 0; c < 3; c++) {
-        float a[3], sum = 0, down = 1;
+        float sum = 0;
         for (int k = 0; k < 3; k++) {
-            a[k] = clampf(l->tone_a[c][k], -1e3f, 1e3f);
-            sum += a[k] < 0 ? -a[k] : a[k];
+            a[c][k] = clampf(l->tone_a[c][k], -1e3f, 1e3f);
+            sum += a[c][k] < 0 ? -a[c][k] : a[c][k];
         }
-        if (sum > 8) down = 8 / sum;
-        for (int k = 0; k < 3; k++) t->tone[c][k] = (int16_t)rounded(a[k] * down * (4096 * 255.0f / 256));
-        t->tone[c][3] = 0;
-        t->tone_b[c] = rounded(clampf(l->tone_b[c], -16, 16) * (255 * 131072.0f)) + (1 << 16);
+        for (int k = 0; k < 3 && sum > 15.9f; k++) a[c][k] *= 15.9f / sum;
+        b[c] = clampf(l->tone_b[c], -16, 16);
+        if (sum > 15.9f) sum = 15.9f;
+        float reach = 3.49f * sum + (b[c] < 0 ? -b[c] : b[c]);
+        if (reach < 4.03f * sum) reach = 4.03f * sum;               /* entries themselves */
+        most = reach > most ? reach : most;
+    }
+    for (t->tone_shift = 4; t->tone_shift > 0 && most * (float)(255 << t->tone_shift) > 32700; ) t->tone_shift--;
+    for (int c = 0; c < 3; c++) {
+        for (int k = 0; k < 3; k++) t->tone[c][k] = entry((double)a[c][k] * (1 << (10 + t->tone_shift)) * (255.0 / 256));
+        t->tone_b[c] = entry(b[c] * 255.0 * (1 << t->tone_shift) + (1 << t->tone_shift) / 2);
     }
 }
 
@@ -560,10 +589,12 @@ static void make_vis(orl_vis_tab *t, const orl_light *l)
     t->i0 = i & (ORL_HORIZON - 1);
     t->i1 = (i + 1) & (ORL_HORIZON - 1);
     t->f = rounded((a - (float)i) * 256);
-    t->sun = rounded(clampf((l->code[ORL_C_SUN_EL] + ORL_SUN_SOFT / 2) * (255 * 256 * 2 / pi), -1e6f, 1e6f));
+    t->over = rounded(clampf((l->code[ORL_C_SUN_EL] + ORL_SUN_SOFT / 2) * (QUARTER * 2 / pi), -1e6f, 1e6f));
+    t->under = QUARTER + ORL_VIS_SPAN - t->over;                /* pi / 2 - elevation + half the soft sun */
+    if (t->under < ORL_VIS_SPAN) t->under = ORL_VIS_SPAN;       /* nothing overhead hides nothing */
 }
 
-static void make_sky(int16_t (*out)[4], const sky_grid *g, const orl_light *l)
+static void make_sky(int16_t out[3][NODES * NODES], const sky_grid *g, const orl_light *l)
 {
     for (int i = 0; i < g->nx * g->ny; i++) {
         const float *d = g->dir[i];
@@ -572,20 +603,17 @@ static void make_sky(int16_t (*out)[4], const sky_grid *g, const orl_light *l)
         for (int c = 0; c < 3; c++) {
             float e = 0;
             for (int k = 0; k < ORL_SKY_Y; k++) e += l->sky_m[c][k] * Y[k];
-            out[i][c] = (int16_t)rounded(8192 * clampf(e, -0.5f, 3.49f));
+            out[c][i] = (int16_t)rounded(8192 * clampf(e, -0.5f, 3.49f));
         }
-        out[i][3] = 0;
     }
 }
-
 size_t orl_view_light_need(void) { return orl_align64(sizeof(orl_view_light)); }
 
 orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void *block, size_t bytes)
 {
     if (bytes < sizeof(orl_view_light) || ((uintptr_t)block & 63)) return NULL;
     orl_view_light *t = block;
-    make_palette(&t->tab, l);
-    make_luts(&t->tab);
+    make_light(&t->tab, l);
     make_shadow(&t->tab, v, l);
     make_tone(&t->tab, l);
     make_vis(&t->vis, l);
@@ -593,10 +621,14 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     return t;
 }
 
-/* Sun visibility of n pixels from `at` on by a view's horizons, or its ceilings. */
-static void vis_of(void (*kernel)(const uint8_t *, const uint8_t *, const orl_vis_tab *, int, uint8_t *), const orl_view *v, const uint8_t *planes, const orl_vis_tab *t, size_t at, int n, uint8_t *vis)
+/* Sun visibility of n pixels from `at` on, Q15, by a view's horizons and ceilings, and with_fix by what a traced sun has over the horizons. */
+static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, int n, int16_t *vis)
 {
-    kernel(planes + (size_t)t->i0 * plane_size(v) + at, planes + (size_t)t->i1 * plane_size(v) + at, t, n, vis);
+    size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
+    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL };
+    if (v->ceiling) in.ceiling[0] = v->ceiling + i0, in.ceiling[1] = v->ceiling + i1;
+    else if (with_fix) in.fix = v->fix + at;
+    k->vis(&in, t, n, vis);
 }
 
 /* ---- the sun's way */
@@ -610,7 +642,20 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
     return 1;
 }
 
-typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab over, under; uint8_t *ceiling; orl_kernels k; uint8_t faces[ORL_PAL]; } trace_job;    /* faces: the palette's normals that look at the sun */
+typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis; uint8_t *ceiling; orl_kernels k; } trace_job;
+
+static int faces_sun(const trace_job *j, size_t at, float n[3])
+{
+    const float *s = j->l->sun_dir;
+    float len = 0;
+    for (int a = 0; a < 3; a++) {
+        n[a] = (float)j->v->normal[a][at];
+        len += n[a] * n[a];
+    }
+    len = len > 0 ? 1 / sqrtf(len) : 0;
+    for (int a = 0; a < 3; a++) n[a] = len > 0 ? n[a] * len : a == 2;
+    return n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0;
+}
 
 enum { NOTHING, SEEN, HIDDEN, AWAY };   /* the sun, of a pixel: no surface, no ray that hits, one that does, a surface that looks away */
 typedef struct { orl_march m; int8_t *to[ORL_RAYS]; } questions;
@@ -632,8 +677,7 @@ static void ask(const trace_job *j, int x, int y, int8_t *to, questions *q)
     *to = NOTHING;
     if (!v->cov[here]) return;
     *to = AWAY;
-    palette_dir(v->normal[here], n);
-    if (!j->faces[v->normal[here]] || !lifted(v, x, y, n, o)) return;
+    if (!faces_sun(j, here, n) || !lifted(v, x, y, n, o)) return;
     if (q->m.n == ORL_RAYS) answer(j, q);
     q->to[q->m.n] = to;
     orl_march_begin(v->scene, o, (const double[3]){ s[0], s[1], s[2] }, 0, &q->m);
@@ -665,10 +709,11 @@ static void trace_band(const trace_job *j, int begin, int end)
         if (y & 1 && y + 1 < v->h) ask_row(j, y + 1, down, &q);
         const int8_t *below = y & 1 && y + 1 < v->h ? down : up;
         for (int x = 0; x < v->w; x++) {
+            float n[3];
             int i = x / 2, k = x & 1 && x + 1 < v->w ? i + 1 : i;
             if (!(x & 1) && !(y & 1)) fix[x] = up[i];
             else if (!v->cov[(size_t)y * (size_t)v->stride + (size_t)x]) fix[x] = NOTHING;
-            else if (!j->faces[v->normal[(size_t)y * (size_t)v->stride + (size_t)x]]) fix[x] = AWAY;
+            else if (!faces_sun(j, (size_t)y * (size_t)v->stride + (size_t)x, n)) fix[x] = AWAY;
             else if ((up[i] == SEEN || up[i] == HIDDEN) && up[k] == up[i] && below[i] == up[i] && below[k] == up[i]) fix[x] = up[i];
             else ask(j, x, y, &fix[x], &q);
         }
@@ -676,29 +721,30 @@ static void trace_band(const trace_job *j, int begin, int end)
     }
     for (int y = begin; y < end; y++)
         for (int x = 0; x < v->stride; x += CHUNK) {
-            uint8_t over[CHUNK];
+            int16_t over[CHUNK];
             size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
             int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-            vis_of(j->k.vis, v, v->horizon, &j->over, from, n, over);
+            vis_of(&j->k, v, &j->vis, 0, from, n, over);
             for (int i = 0; i < n; i++) {
                 int8_t *f = &v->fix[from + (size_t)i];
-                *f = (int8_t)(*f == NOTHING ? 0 : *f == SEEN ? (127 * (255 - over[i]) + 127) / 255 : -((127 * over[i] + 127) / 255));
+                *f = (int8_t)(*f == NOTHING ? 0 : *f == SEEN ? (32767 - over[i] + 129) / 258 : -((over[i] + 129) / 258));
             }
         }
 }
 
-/* As the horizon's, from above: what a ceiling takes of a baked pixel's sun. */
+/* What a ceiling takes of a baked pixel's sun. */
 static void look_up_row(const trace_job *j, int y)
 {
-    orl_view *v = j->v;
-    uint8_t over[CHUNK], under[CHUNK];
+    orl_view *v = j->v, open = *v;
+    open.ceiling = NULL;
     if (!(j->l->sun_dir[2] > 0)) { memset(v->fix + (size_t)y * (size_t)v->stride, 0, (size_t)v->stride); return; }
     for (int x = 0; x < v->stride; x += CHUNK) {
+        int16_t vis[CHUNK], over[CHUNK];
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        vis_of(j->k.vis, v, v->horizon, &j->over, at, n, over);
-        vis_of(j->k.vis, v, v->ceiling, &j->under, at, n, under);
-        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)-((over[i] * (255 - under[i]) + 255) / 510);      /* in 1/127 of over under / 255 - over */
+        vis_of(&j->k, v, &j->vis, 0, at, n, vis);
+        vis_of(&j->k, &open, &j->vis, 0, at, n, over);
+        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)-((over[i] - vis[i] + 129) / 258);
     }
 }
 
@@ -713,15 +759,7 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
 {
     trace_job j = { .v = v, .l = l, .y0 = y0 };
     orl_kernels_init(&j.k, cpu);
-    make_vis(&j.over, l);
-    j.under = j.over;
-    j.under.sun = QUARTER + ORL_VIS_SPAN - j.over.sun;              /* pi / 2 - elevation + half the soft sun */
-    if (j.under.sun < ORL_VIS_SPAN) j.under.sun = ORL_VIS_SPAN;     /* nothing overhead hides nothing */
-    for (int i = 0; i < ORL_PAL; i++) {
-        float n[3];
-        palette_dir(i, n);
-        j.faces[i] = n[0] * l->sun_dir[0] + n[1] * l->sun_dir[1] + n[2] * l->sun_dir[2] > 0;
-    }
+    make_vis(&j.vis, l);
     orl_parallel(threads, y1 - y0, 4 * GRAIN, trace_rows, &j);
 }
 
@@ -848,32 +886,26 @@ void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling)
 
 /* ---- rows */
 
-void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1)
-{
-    orl_kernels k;
-    orl_kernels_init(&k, cpu);
-    for (int y = y0; y < y1; y++) {
-        size_t at = (size_t)y * (size_t)v->stride;
-        vis_of(k.vis, v, v->horizon, &l->vis, at, v->stride, v->vis + at);
-        for (int x = 0; x < v->stride; x++) {
-            int s = v->vis[at + (size_t)x] + 2 * v->fix[at + (size_t)x];
-            v->vis[at + (size_t)x] = (uint8_t)(s < 0 ? 0 : s > 255 ? 255 : s);
-        }
-    }
-}
-
 /* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. */
-static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t (*sky)[4], uint8_t *rgb)
+static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t *const sky[3], uint8_t *rgb)
 {
     const sky_grid *g = v->sky;
+    int shadows = 0;
+    for (int i = 0; i < ORL_SHADOW_DIM; i++) shadows |= v->phi_scale[i] > 0;
     for (int n; x < end; x += n) {
-        int16_t s[CHUNK];
+        int16_t s[CHUNK], vis[CHUNK];
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         uint8_t tail[CHUNK * 3], *to = rgb + 3 * (size_t)x;
         n = end - x < CHUNK ? end - x : CHUNK;
         int padded_n = (n + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, whole = padded_n == n;        /* the row's padding makes room */
-        orl_shade_in in = { v->normal + at, { v->albedo[0] + at, v->albedo[1] + at, v->albedo[2] + at }, v->open + at, v->cov + at, v->vis + at, s, sky, g->log2, x };
-        k->shadow(v->phi + at * ORL_SHADOW_DIM, &l->tab, padded_n, s);
+        orl_shade_in in = { .open = v->open + at, .cov = v->cov + at, .vis = vis, .s = shadows ? s : NULL, .sky_log2 = g->log2, .x = x };
+        for (int c = 0; c < 3; c++) {
+            in.normal[c] = v->normal[c] + at;
+            in.albedo[c] = v->albedo[c] + at;
+            in.sky[c] = sky[c];
+        }
+        vis_of(k, v, &l->vis, 1, at, padded_n, vis);
+        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, &l->tab, padded_n, s);
         k->shade(&in, &l->tab, padded_n, whole ? to : tail);
         if (!whole) memcpy(to, tail, 3 * (size_t)n);
     }
@@ -882,16 +914,21 @@ static void shade_span(const orl_view *v, const orl_view_light *l, const orl_ker
 void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu, int y, int x0, int x1, uint8_t *rgb)
 {
     const sky_grid *g = v->sky;
-    const int16_t (*a)[4] = l->sky + (size_t)(y >> g->log2) * (size_t)g->nx, (*b)[4] = a + g->nx;
-    int16_t sky[NODES][4];
+    int16_t sky[3][NODES + ORL_NODES_MORE];
+    const size_t first = (size_t)(y >> g->log2) * (size_t)g->nx;
     int f = (y & ((1 << g->log2) - 1)) << (15 - g->log2);
     orl_kernels k;
     orl_kernels_init(&k, cpu);
-    for (int i = 0; i < g->nx; i++) for (int c = 0; c < 4; c++) sky[i][c] = (int16_t)(a[i][c] + (((b[i][c] - a[i][c]) * f + 0x4000) >> 15));
+    for (int c = 0; c < 3; c++) {
+        const int16_t *a = l->sky[c] + first, *b = a + g->nx;
+        for (int i = 0; i < g->nx; i++) sky[c][i] = (int16_t)(a[i] + (((b[i] - a[i]) * f + 0x4000) >> 15));
+        for (int i = 0; i < ORL_NODES_MORE; i++) sky[c][g->nx + i] = 0;
+    }
     int left = (x0 + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, right = x1 / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
     if (left >= right) left = right = 0;
-    shade_span(v, l, &k, y, 0, left, (const int16_t (*)[4])sky, rgb);
-    shade_span(v, l, &k, y, right, v->w, (const int16_t (*)[4])sky, rgb);
+    const int16_t *const rows[3] = { sky[0], sky[1], sky[2] };
+    shade_span(v, l, &k, y, 0, left, rows, rgb);
+    shade_span(v, l, &k, y, right, v->w, rows, rgb);
 }
 
 void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)

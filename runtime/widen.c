@@ -283,7 +283,7 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     if (first) e = settle(w);
     else if (found) follow_in_small(w);
     if (e) return e;
-    if (found) follow_sun(w, &w->wide, &w->wide_sun);
+    if (found && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
     w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }
@@ -297,7 +297,6 @@ static void shade(void *user, int begin, int end)
     shading *s = user;
     orl_widen *w = s->w;
     size_t row = (size_t)w->wide.w * 3;
-    orl_view_relight(&w->wide, w->tables, w->config.cpu, begin, end);
     for (int y = begin; y < end; y++) {
         int x0 = 0, x1 = 0;
         if (w->blend && !w->config.no_skip) orl_blend_covered(w->blend, y, &x0, &x1);

@@ -4,7 +4,7 @@
 set -eu
 packages=(gcc g++ clang make pkg-config libopenimageio-dev libopenexr-dev libcmocka-dev libjpeg62-turbo-dev libpng-dev zlib1g-dev
           gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static ffmpeg openimageio-tools libclang-rt-14-dev
-          libopenmpi-dev openmpi-bin)
+          libopenmpi-dev openmpi-bin libxnnpack-dev libpthreadpool-dev qemu-user llvm)
 arm64=(libjpeg62-turbo libjpeg62-turbo-dev libpng16-16 libpng-dev zlib1g zlib1g-dev)
 root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
 

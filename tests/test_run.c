@@ -26,7 +26,6 @@ static void render(orl_view *v, const orl_light *l, uint8_t *rgb)
     orl_view_light *t = orl_view_light_make(v, l, block, orl_view_light_need());
     assert_non_null(t);
     orl_view_trace_sun(v, l, 0, v->h, ORL_CPU_REF, 1);
-    orl_view_relight(v, t, ORL_CPU_REF, 0, v->h);
     orl_view_shade(v, t, ORL_CPU_REF, 0, v->h, rgb, (size_t)v->w * 3);
     free(block);
 }
@@ -77,7 +76,7 @@ static int next(orl_source *s, orl_frame *f)
         orl_fail(ORL_E_FORMAT, "picture %d: lost on purpose", i);
         return -1;
     }
-    *f = (orl_frame) { { clip[i] }, { W * 3 } };
+    orl_frame_layout(&s->info, clip[i], f);
     return 1;
 }
 static void no_close(orl_source *s) { (void)s; }
@@ -100,7 +99,7 @@ static sink out;
 
 static orl_err go(unsigned lost, int threads, unsigned cpu, int blend, orl_run_options o, orl_run_figures *f)
 {
-    source in = { { &SOURCE, { W, H, ORL_PIX_RGB, 1, 25, 1 }, 0 }, 0, lost };
+    source in = { { &SOURCE, { .w = W, .h = H, .pixels = ORL_PIX_RGB, .full_range = 1, .fps_num = 25, .fps_den = 1 }, 0 }, 0, lost };
     orl_widen_config c = { .scene = &scene, .photo = cam, .wide = wide_cam, .photo_pose = pose, .wide_pose = pose, .blend = blend, .threads = threads, .cpu = cpu };
     orl_widen w;
     static uint8_t photo[W * H * 3], wide[W * H * 3];

@@ -9,6 +9,7 @@
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
+#include "oriel/cpu.h"
 #include "oriel/image.h"
 #include "oriel/sink.h"
 #include "oriel/source.h"
@@ -176,7 +177,7 @@ static void y4m_random(void **state)
         uint8_t rgb[64 * 3];
         int calls = 0;
         for (int r; (r = orl_source_next(y, &f)); calls++)
-            if (r > 0 && y->info.w * y->info.h <= 64) orl_frame_to_rgb(&y->info, &f, 0, y->info.h, rgb, (size_t)y->info.w * 3);
+            if (r > 0 && y->info.w * y->info.h <= 64) orl_frame_to_rgb(&y->info, &f, orl_cpu_detect(), 0, y->info.h, rgb, (size_t)y->info.w * 3);
         assert_true(calls <= (int)s.n);
         orl_source_close(y);
     }
@@ -190,10 +191,10 @@ static void yuv_colours(void **state)
         { 0, 128, 128, 0, 0, 0 }, { 255, 128, 128, 255, 255, 255 },
     };
     for (size_t i = 0; i < sizeof KNOWN / sizeof *KNOWN; i++) {
-        orl_source_info info = { 1, 1, ORL_PIX_444, 0, 25, 1 };
-        orl_frame f = { { &KNOWN[i].y, &KNOWN[i].u, &KNOWN[i].v }, { 1, 1, 1 } };
+        orl_source_info info = { .w = 1, .h = 1, .pixels = ORL_PIX_444 };
+        orl_frame f = { { &KNOWN[i].y, &KNOWN[i].u, &KNOWN[i].v }, { 1, 1, 1 }, { 1, 1, 1 } };
         uint8_t rgb[3];
-        orl_frame_to_rgb(&info, &f, 0, 1, rgb, 3);
+        orl_frame_to_rgb(&info, &f, orl_cpu_detect(), 0, 1, rgb, 3);
         assert_int_equal(rgb[0], KNOWN[i].r);
         assert_int_equal(rgb[1], KNOWN[i].g);
         assert_int_equal(rgb[2], KNOWN[i].b);
@@ -204,9 +205,9 @@ static void yuv_colours(void **state)
         uint8_t in[6], y[4], u, v, out[12];
         for (int c = 0; c < 3; c++) in[c] = in[3 + c] = (uint8_t)((k >> (4 * c) & 15) * 17);
         orl_rgb_to_420(in, in, 2, y, y + 2, &u, &v);
-        orl_source_info info = { 2, 2, ORL_PIX_420, 0, 25, 1 };
-        orl_frame f = { { y, &u, &v }, { 2, 1, 1 } };
-        orl_frame_to_rgb(&info, &f, 0, 2, out, 6);
+        orl_source_info info = { .w = 2, .h = 2, .pixels = ORL_PIX_420 };
+        orl_frame f = { { y, &u, &v }, { 2, 1, 1 }, { 4, 1, 1 } };
+        orl_frame_to_rgb(&info, &f, orl_cpu_detect(), 0, 2, out, 6);
         for (int c = 0; c < 12; c++) worst = abs(out[c] - in[c % 3]) > worst ? abs(out[c] - in[c % 3]) : worst;
     }
     assert_in_range(worst, 1, 3);
@@ -312,7 +313,7 @@ static void sink_y4m_reads_back(void **state)
     assert_int_equal(s->info.fps_num, 30);
     for (int i = 0; i < 3; i++) {
         assert_int_equal(orl_source_next(s, &f), 1);
-        orl_frame_to_rgb(&s->info, &f, 0, PH, &back[0][0][0], sizeof *back);
+        orl_frame_to_rgb(&s->info, &f, orl_cpu_detect(), 0, PH, &back[0][0][0], sizeof *back);
         assert_true(abs(back[PH - 1][PW - 1][1] - (60 * i + 40)) <= 1);
     }
     assert_int_equal(orl_source_next(s, &f), 0);

@@ -97,7 +97,6 @@ orl_err predict_shade(orl_view *v, const orl_light *light, int threads, unsigned
         orl_view_light *l = orl_view_light_make(v, light, mem, need);
         if (l) {
             orl_view_trace_sun(v, light, 0, v->h, orl_cpu_detect(), threads);
-            orl_view_relight(v, l, cpu, 0, v->h);
             orl_view_shade(v, l, cpu, 0, v->h, im.px, (size_t)v->w * 3);
             *out = im;
         } else {

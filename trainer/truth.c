@@ -342,9 +342,11 @@ static void base_colour(const orl_view *v, const orl_imagef *depth, const orl_im
 {
     for (int y = 0; y < v->h; y++)
         for (int x = 0; x < v->w; x++) {
-            size_t at = (size_t)y * (size_t)v->w + (size_t)x, own = (size_t)y * (size_t)v->stride + (size_t)x;
+            size_t at = (size_t)y * (size_t)v->w + (size_t)x;
             if (!(depth->px[at] > 0)) continue;
-            for (int c = 0; c < 3; c++) scaling_add(&sum[c], v->albedo[c][own] / 65535.0, albedo->px[3 * at + (size_t)c]);
+            orl_sample q;
+            orl_view_sample(v, x, y, &q);
+            for (int c = 0; c < 3; c++) scaling_add(&sum[c], q.albedo[c], albedo->px[3 * at + (size_t)c]);
             ++*pixels;
         }
 }

@@ -7,14 +7,13 @@
 /* Structure of arrays, rows padded to a multiple of 32 pixels (stride). Owned by the caller's block. */
 typedef struct {
     int w, h, stride;
-    uint16_t *normal;               /* octahedral palette index, 64 x 64 */
-    uint16_t *albedo[3];            /* linear, Q16 saturating at 65535 = 1.0 */
+    int8_t  *normal[3];             /* unit, 127ths, -127..127; 0 where nothing is */
+    uint8_t *albedo[3];             /* linear^(5/12), 255ths: steps as even to the eye as sRGB's, and what the kernels multiply */
     uint8_t *open, *cov;            /* 0..255 */
     uint8_t *horizon;               /* 16 planes, one an azimuth */
-    int8_t  *phi;                   /* [pixel][8] */
+    int8_t  *phi[2];                /* [pixel][4]: features 0..3, 4..7 */
     const uint8_t *ceiling;         /* 16 planes of a baked view: 255 - elevation of what hangs over it in each azimuth, 0 nothing; NULL: the scene tells */
     int8_t *fix;                    /* what a traced sun has over the horizons', in 1/127; 0: not traced */
-    uint8_t *vis;                   /* sun visibility under the current light, 0..255 */
     uint16_t *depth;                /* Q.4 fine cells along the ray, 65535 = none */
     float phi_scale[ORL_SHADOW_DIM];
     orl_camera cam; orl_pose pose;
@@ -35,10 +34,9 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
 /* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
  * ceiling: [16][stride h], the caller's, zeroed; v->ceiling when all rows are done. Bit-identical for any thread count. */
 void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling);
-/* A view whose planes (all but fix and vis), cam, pose, grid_from_cam, eye and phi_scale stand in *from, as they were baked: rests in block, the planes stay where they are. */
+/* A view whose planes (all but fix), cam, pose, grid_from_cam, eye and phi_scale stand in *from, as they were baked: rests in block, the planes stay where they are. */
 size_t orl_view_attach_need(int w, int h);
 orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_view *out);
-enum { ORL_VIEW_NORMALS = 64 * 64 };                                /* palette entries: every normal is below */
 
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
@@ -52,8 +50,7 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
 typedef struct orl_view_light orl_view_light;
 size_t orl_view_light_need(void);
 orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void *block, size_t bytes);
-/* Updates vis when the sun moved, shades rows [y0, y1) into rgb8 (w * 3 bytes a row). flags: orl_cpu_detect() or a subset. */
-void orl_view_relight(orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1);
+/* Shades rows [y0, y1) into rgb8 (w * 3 bytes a row). cpu: orl_cpu_detect() or a subset. */
 void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes);
 /* The same of one row, w * 3 bytes at rgb, but for columns [x0, x1), which may be left as they are: what a photo covers. */
 void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu, int y, int x0, int x1, uint8_t *rgb);

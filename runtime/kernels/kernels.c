@@ -1,14 +1,17 @@
 /* Dispatch: C first, overridden by what the CPU flags allow. */
 #include "runtime/kernels/shade.h"
 
+#define SET(isa) (orl_kernels){ orl_vis_##isa, orl_shadow_##isa, orl_shade_##isa, orl_warp_##isa, orl_mix_##isa }
+
 void orl_kernels_init(orl_kernels *k, unsigned cpu)
 {
-    *k = (orl_kernels){ orl_vis_ref, orl_shadow_ref, orl_shade_ref, orl_mix_ref };
+    *k = SET(ref);
 #if defined(__x86_64__)
-    if (cpu & ORL_CPU_AVX2) *k = (orl_kernels){ orl_vis_avx2, orl_shadow_avx2, orl_shade_avx2, orl_mix_avx2 };
+    if (cpu & ORL_CPU_AVX2) *k = SET(avx2);
+    if (cpu & ORL_CPU_AVX512) *k = SET(avx512);
 #elif defined(__aarch64__)
-    if (cpu & ORL_CPU_NEON) *k = (orl_kernels){ orl_vis_neon, orl_shadow_neon, orl_shade_neon, orl_mix_neon };
-    if (cpu & ORL_CPU_DOTPROD) k->shadow = orl_shadow_dotprod;
+    if (cpu & ORL_CPU_NEON) *k = SET(neon);
+    if (cpu & ORL_CPU_DOTPROD) *k = SET(dotprod);
 #else
     (void)cpu;
 #endif

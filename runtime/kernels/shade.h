@@ -1,26 +1,31 @@
-/* Re-lighting and blending kernels: formats, ranges, tables, variants. The equations are oriel/light.h's and oriel/blend.h's; here they stand in integers.
+/* Re-lighting and blending kernels: formats, ranges, tables, variants. The equations are oriel/light.h's and oriel/blend.h's; here they stand in 16-bit integers, without a table that memory would have to be asked for.
  *
- * mul(a, b) is NEON's vqrdmulh on 16 bits (AVX2's mulhrs): (a b + 2^14) >> 15, b >= 0 throughout, so that the one case where the two differ never occurs.
- * q15(v) of a byte v is (v << 7) + (v >> 1): 255 -> 32767. add is saturating. x >>r k is a rounding shift: (x + 2^(k-1)) >> k, k = 0: x.
+ * mul(a, b) is NEON's vqrdmulh on 16 bits (AVX2's mulhrs): (a b + 2^14) >> 15; it is never asked for -32768 times itself, the one case where the two differ. Sums wrap to 16 bits, +| saturates: tables that are made for a light leave no sum of real pixels beyond 16 bits, so only what a file invents can wrap.
+ * x >>r k is a rounding shift: (x + 2^(k-1)) >> k, k = 0: x.
  *
- *   vis     h = horizon[i0] (256 - f) + horizon[i1] f                               Q8 of 1/255 quarter turn, 0 .. 65280
- *           d = clamp(sun - h, 0, ORL_VIS_SPAN), t = (d 20182 + 2^10) >> 11          Q15
- *           a = mul(t, t), v = a + 2 mul(a, 32767 - t), vis = min((v + 64) >> 7, 255)
- *   shadow  x = clamp((sum phi_k w_k >>r phi_shift) + phi_bias, 0, 32767)             Q11 of (argument + 8)
- *           s = LUT sigmoid(x >> 7, (x & 127) << 8)                                  Q15
- *   shade   E = mul(add(add(mul(sun_n, q15(vis)), mul(sky_n, q15(open))), ground_n), s)   Q k, irradiance / pi; palette entry of the normal
- *           c = clamp(albedo E >>r colour_shift, 1, 2^24 - 1)                        linear colour Q20, < 16
- *           e = LUT encode(16 log + mantissa's top 4 bits, next 15 bits)             Q13, 0 .. 3.3; log = floor(log2 c)
- *           y = sky_a + mul(sky_b - sky_a, ramp)                                     Q13, nodes clamped to [-0.5, 3.49]
- *           p = y + mul(e - y, q15(cov))                                             Q13
- *           rgb = clamp((sum tone_ck p_k + tone_b_c) >> 17, 0, 255)                  tone Q12 x 255/256, tone_b Q17 of a grey level, 2^16 for rounding included
- *   LUT(i, f) = base_i + mul(delta_i, f)
- *   mix     l_k = a_k + (2 (b_k - a_k) share >> 16)                                  correction of layer k between two cells, Q5 levels; shares Q15; x >> k rounds down
- *           r = clamp(render + ((l_0 + (2 (l_1 - l_0) q15(layer) >> 16) + 16) >> 5), 0, 255)
- *           m = photo weight + r (255 - weight) + 128, rgb = (m + (m >> 8)) >> 8     the quotient by 255, rounded: exact
+ *   lit(p, edge)  h = p[0] (256 - f) + p[1] f                                     Q8 of 1/255 quarter turn, 0 .. 65280
+ *           d = clamp(edge - h, 0, ORL_VIS_SPAN), t = 2 mul(8 d, 20182)           Q15, at most 32766
+ *           a = mul(t, t), m = mul(a, 32767 - t), a +| m +| m                     smoothstep, Q15
+ *   vis     lit(horizon, over), and where there are ceilings mul(that, lit(ceiling, under)), and where a sun was traced max(that +| 258 fix, 0)
+ *   shadow  x = clamp((sum phi_k w_k >>r phi_shift) + phi_bias, 0, 32767)         Q11 of (argument + 8)
+ *           s = shadow_0[i] + mul(t, shadow_1[i] + mul(t, shadow_2[i])), i = x >> 11, t = (x & 2047) << 4       sigmoid^(5/12), Q15
+ *   shade   x, y, z = 256 normal                                                  Q15 of 127/128
+ *           sun = mul(max(mul(x, d_0) + mul(y, d_1) + mul(z, d_2), 0), vis)
+ *           sky_c = max(k_0 + mul(k_1, x) + mul(k_2, y) + .. mul(k_8, mul(z, z)), 0)        of 1, x, y, z, xy, yz, zx, xx - yy, zz (the same mul)
+ *           E_c = max(mul(sun_c, sun) + mul(sky_c, 128 open) + (g_0c - mul(g_1c, z)), 2)    Q k, irradiance / pi
+ *           P = power(E): log = floor(log2 E), t = (E << (16 - log)) - 2^15 mod 2^16, mul(c_0 + mul(t, c_1 + mul(t, c_2 + mul(t, c_3))), factor[log - 1])       E^(5/12), Q15 of its greatest
+ *           u = min(mul(mul(mul(128 albedo_c, s), P), gain), ORL_U_MAX >> gain_shift) << gain_shift   1.055 colour^(5/12), Q13
+ *           w = 32 min(u, ORL_TOE), e = max(u - ORL_TOE_LINE, mul(mul(w, w), ORL_TOE_2 + mul(w, ORL_TOE_3)))   sRGB encoding, Q13, 0 .. 3.3
+ *           y = node_a + mul(node_b - node_a, ramp)                               Q13, sky, nodes clamped to [-0.5, 3.49]
+ *           p = cov = 255: e, else y + mul(e - y, 128 cov + (cov >> 1))           Q13
+ *           rgb = clamp((tone_b_c + mul(tone_c0, p_0) + mul(tone_c1, p_1) + mul(tone_c2, p_2)) >> tone_shift, 0, 255)     in this order
+ *   warp    V_i = sum_j mul(128 photo_ij, row_j), rgb = min((sum_i mul(V_i, column_i) + 64) >> 7, 255)        mean of the photo over a box; shares Q15
+ *   mix     l_k = node_a + mul(node_b - node_a, ramp)                             correction of layer k, Q5 levels
+ *           r = clamp(render + ((l_0 + mul(l_1 - l_0, 128 layer + (layer >> 1)) + 16) >> 5), 0, 255)
+ *           m = photo weight + r (255 - weight) + 128, rgb = (m + (m >> 8)) >> 8  the quotient by 255, rounded: exact
  *
- * k is the largest of 4 .. 20 at which sun + sky + ground of no palette entry leaves 15 bits: a bright sun costs low bits of the shade, never saturates below 2000 x white.
- * All lengths are multiples of ORL_KERNEL_STEP, mix's of ORL_MIX_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. */
+ * k is the largest of 4 .. 20 at which sun + sky + ground of no direction leaves 15 bits: a bright sun costs low bits of the shade, never saturates below 2000 x white.
+ * All lengths but warp's are multiples of ORL_KERNEL_STEP; no kernel has a tail. Pointers need no alignment. Kernels write n items and nothing else. Of nodes, three more words than are asked for are read. */
 #ifndef RUNTIME_KERNELS_SHADE_H
 #define RUNTIME_KERNELS_SHADE_H
 #include <stdint.h>
@@ -28,74 +33,88 @@
 #include "oriel/light.h"
 
 enum {
-    ORL_KERNEL_STEP = 16, ORL_MIX_STEP = 8,
-    ORL_PAL_SIDE = 64, ORL_PAL = ORL_PAL_SIDE * ORL_PAL_SIDE,   /* entry of (i, j): j * 64 + i, direction orl_oct_dir((i + 0.5) / 32 - 1, (j + 0.5) / 32 - 1) */
+    ORL_KERNEL_STEP = 32, ORL_NODES_MORE = 3,
     ORL_VIS_SPAN = 3325,                                        /* ORL_SUN_SOFT in units of h */
-    ORL_ENCODE_KNOTS = 24 * 16, ORL_SIGMOID_KNOTS = 256,
+    ORL_SKY_TERMS = 9, ORL_SHADOW_KNOTS = 16,
     ORL_PHI_W_MAX = 16255,                                      /* w = 128 hi + lo with both in int8 */
+    ORL_WARP_PART = 5, ORL_WARP_MOST = 64, ORL_WARP_ROWS = ORL_WARP_MOST + 1, ORL_WARP_PARTS = (ORL_WARP_MOST + ORL_WARP_PART) / ORL_WARP_PART,     /* boxes of up to 64 x 64 pixels */
+    ORL_PHI_GROUP = 4,                                          /* features of a pixel that stand side by side: phi is [group][pixel][4] */
+    ORL_POW_0 = 29060, ORL_POW_1 = 4033, ORL_POW_2 = -408, ORL_POW_3 = 76,      /* of ((t + 3) / 4)^(5/12), t in -1 .. 1: within 4e-4 of it */
+    ORL_U_MAX = 27438, ORL_TOE = 737, ORL_TOE_LINE = 451, ORL_TOE_2 = 289, ORL_TOE_3 = 375,      /* the curve's lower end by u^2 and u^3: within 0.1 of a level */
 };
-
-typedef struct { int16_t base, delta; } orl_lut;                /* value at a knot, difference to the next */
 
 typedef struct {
     int i0, i1;                     /* azimuths 0..15 on both sides of the sun */
     int f;                          /* 0..256 */
-    int32_t sun;                    /* upper edge of the soft sun, units of h */
+    int32_t over, under;            /* upper edge of the soft sun over horizons, and over ceilings seen from above; units of h */
 } orl_vis_tab;
 
 typedef struct {
-    int16_t pal[ORL_PAL][12];       /* sun R G B 0, sky R G B 0, ground R G B 0; Q k, >= 0 */
-    orl_lut encode[ORL_ENCODE_KNOTS], sigmoid[ORL_SIGMOID_KNOTS];
-    int16_t phi_w[ORL_SHADOW_DIM];
-    int8_t phi_hi[2 * ORL_SHADOW_DIM], phi_lo[2 * ORL_SHADOW_DIM];      /* phi_w split, twice over (two pixels a vector) */
-    int32_t phi_shift, phi_bias;    /* 0 .. 15; Q11 */
-    int32_t colour_shift;           /* k - 4: 0 .. 16 */
-    int16_t tone[3][4];             /* a row's absolute sum at most 32767; [3] is 0 */
-    int32_t tone_b[3];              /* absolute value at most 2^30 - 2^17 */
+    const uint8_t *horizon[2], *ceiling[2];     /* [n] of the azimuths i0 and i1; ceiling NULL: none */
+    const int8_t *fix;                          /* [n] -127..127; NULL: none */
+} orl_vis_in;
+
+typedef struct {
+    int16_t sun_dir[3], sun[3], sky[3][ORL_SKY_TERMS], ground[3][2];    /* direction Q15; the rest Q k, magnitudes at most 32767 */
+    int16_t gain; int gain_shift;   /* 0 .. 3 */
+    int16_t shadow[3][ORL_SHADOW_KNOTS];
+    int8_t phi_hi[ORL_SHADOW_DIM], phi_lo[ORL_SHADOW_DIM];              /* w_k = 128 hi + lo */
+    int32_t phi_shift, phi_bias;    /* 0 .. 15; Q11, magnitude below 2^20 */
+    int16_t no_shadow;              /* s of a view without phi */
+    int16_t tone[3][3], tone_b[3]; int tone_shift;                      /* 0 .. 4; tone_b carries the rounding */
 } orl_shade_tab;
 
 typedef struct {
-    const uint16_t *normal, *albedo[3];
-    const uint8_t *open, *cov, *vis;
-    const int16_t *s;               /* from the shadow kernel */
-    const int16_t (*sky)[4];        /* nodes of this row from the image's left edge, R G B 0 */
+    const int8_t *normal[3];        /* 127ths */
+    const uint8_t *albedo[3];       /* base colour^(5/12), 255ths */
+    const uint8_t *open, *cov;
+    const int16_t *vis, *s;         /* from their kernels; s NULL: the table's no_shadow */
+    const int16_t *sky[3];          /* nodes of this row from the image's left edge */
     int sky_log2;                   /* pixels between nodes: 4 .. 15 */
     int x;                          /* column of the first pixel, a multiple of ORL_KERNEL_STEP */
 } orl_shade_in;
 
 typedef struct {
-    const int16_t (*cell)[3][2];    /* [cells + 1] of this row: corrections of sky and surface, Q5 levels, magnitudes at most 8160 */
-    const uint8_t *cell_of;         /* of each ORL_MIX_STEP pixels: the cell a, b comes next */
-    const int16_t *share;           /* [n] of b, Q15, 0..32767 */
+    const int16_t *node[3][2];      /* of this row, by channel: corrections of sky and surface, Q5 levels, magnitudes at most 8160; the first stands half a cell before the left edge */
+    int log2;                       /* pixels of a cell: 4 .. 14 */
+    int x;                          /* as above */
     const uint8_t *layer, *weight;  /* [n] 0 sky .. 255 surface; of the photo */
     const uint8_t *photo;           /* [n][3] */
 } orl_mix_in;
 
 typedef struct {
-    void (*vis)(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);      /* [n] of the azimuths i0 and i1 */
-    void (*shadow)(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);               /* phi [n][8] */
+    const uint8_t *photo;           /* rows of `stride` bytes, `bytes` in all */
+    size_t stride, bytes;
+    const int32_t (*at)[2];         /* [n] corner u, v of each pixel's box, Q8; the box is inside the photo */
+    int rows, parts, narrow;        /* of a box; ORL_WARP_PART columns a part; 1: two rows and two columns at most */
+    const int16_t *column;          /* [256][parts][16] by the corner's fraction: shares of the columns from its pixel on, three times over (R, G, B), the 16th 0; a box's sum to 32767, and are 0 beyond it */
+    const int16_t *row;             /* [256][ORL_WARP_ROWS] likewise */
+} orl_warp_in;
+
+typedef struct {
+    void (*vis)(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis);
+    void (*shadow)(const int8_t *const phi[2], const orl_shade_tab *t, int n, int16_t *s);      /* phi [2] groups of [n][4] */
     void (*shade)(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);         /* rgb [n][3] */
+    void (*warp)(const orl_warp_in *in, int n, uint8_t *rgb);                                   /* rgb [n][3]; n any */
     void (*mix)(const orl_mix_in *in, int n, uint8_t *rgb);                                     /* rgb [n][3]: the render, then the blend */
 } orl_kernels;
 
 /* C first, then what the flags allow. Flags of another architecture are ignored. */
 void orl_kernels_init(orl_kernels *k, unsigned cpu);
 
-/* One list for tests and benchmark: name as in --cpu=. */
-#define ORL_KERNEL_VARIANTS(X) X("ref") X("avx2") X("avx512") X("neon") X("dotprod")
+/* E^(5/12) as above, E 2 .. 32767; [log2 - 1] of its factors. */
+int orl_power_ref(int e);
+extern const int16_t orl_power_factor[16];
+
+/* One list for dispatch, tests and benchmark: name as in --cpu=. */
+#define ORL_KERNEL_VARIANTS(X) X(ref) X(avx2) X(avx512) X(neon) X(dotprod)
 
 /* Instruction sets; private to the dispatch. */
-void orl_vis_ref(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
-void orl_shadow_ref(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
-void orl_shade_ref(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
-void orl_mix_ref(const orl_mix_in *in, int n, uint8_t *rgb);
-void orl_vis_avx2(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
-void orl_vis_neon(const uint8_t *h0, const uint8_t *h1, const orl_vis_tab *t, int n, uint8_t *vis);
-void orl_mix_avx2(const orl_mix_in *in, int n, uint8_t *rgb);
-void orl_mix_neon(const orl_mix_in *in, int n, uint8_t *rgb);
-void orl_shadow_avx2(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
-void orl_shade_avx2(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
-void orl_shadow_neon(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
-void orl_shade_neon(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb);
-void orl_shadow_dotprod(const int8_t *phi, const orl_shade_tab *t, int n, int16_t *s);
+#define ORL_KERNEL_PROTOTYPES(isa) \
+    void orl_vis_##isa(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis); \
+    void orl_shadow_##isa(const int8_t *const phi[2], const orl_shade_tab *t, int n, int16_t *s); \
+    void orl_shade_##isa(const orl_shade_in *in, const orl_shade_tab *t, int n, uint8_t *rgb); \
+    void orl_warp_##isa(const orl_warp_in *in, int n, uint8_t *rgb); \
+    void orl_mix_##isa(const orl_mix_in *in, int n, uint8_t *rgb);
+ORL_KERNEL_VARIANTS(ORL_KERNEL_PROTOTYPES)
 #endif

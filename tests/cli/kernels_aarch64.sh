@@ -1,5 +1,5 @@
 #!/bin/sh
-# Re-lighting kernels and the march: one hash here and on emulated aarch64, with and without dot product. $1: build folder.
+# Re-lighting kernels, int8 networks and the march: one hash here and on emulated aarch64, with and without dot product. $1: build folder.
 set -e
 B=${1:-build/host}
 for tool in aarch64-linux-gnu-gcc qemu-aarch64-static; do

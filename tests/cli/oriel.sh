@@ -37,7 +37,7 @@ for cpu in auto avx2 avx512; do
 done
 "$O" bench --view "$W/kiosk.oriel" $clip --json >"$W/out" || fail "bench --view"
 grep -q '"name": "blend ref", "seconds": [0-9.e-]*, "bytes": [0-9]*, "ratio": [0-9.e+]*, "against": "memcpy"}' "$W/out" || fail "bench says no ratio: $(grep blend "$W/out")"
-db=$(grep -oE '"shadow, shade, tone ref".*"error_db": [0-9]+' "$W/out" | grep -oE '[0-9]+$')
+db=$(grep -oE '"sun, shade, tone ref".*"error_db": [0-9]+' "$W/out" | grep -oE '[0-9]+$')
 [ "${db:-0}" -ge 50 ] || fail "bench: shading is ${db:-?} dB from the float model"
 "$O" bench $scene $pose $clip | grep -q '^sun, traced' || fail "bench --scene"
 if command -v python3 >/dev/null; then python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json is not JSON"; fi

@@ -26,7 +26,6 @@ static orl_err render(orl_view *v, const orl_light *l, uint8_t *rgb)
     void *block = aligned_alloc(64, (orl_view_light_need() + 63) & ~(size_t)63);
     orl_view_light *t = block ? orl_view_light_make(v, l, block, orl_view_light_need()) : NULL;
     if (t) {
-        orl_view_relight(v, t, ORL_CPU_REF, 0, v->h);
         orl_view_shade(v, t, ORL_CPU_REF, 0, v->h, rgb, (size_t)v->w * 3);
     }
     free(block);
