@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include "oriel/image.h"
 #include "oriel/parallel.h"
 #include "runtime/arena.h"
@@ -11,7 +12,16 @@ enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
 #define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
-void *orl_widen_block(size_t bytes) { return aligned_alloc(64, orl_align64(bytes)); }
+/* In large pages where there are some: thousands of small ones are touched for the first time in a new pose. */
+void *orl_widen_block(size_t bytes)
+{
+    const size_t large = (size_t)2 << 20;
+    if (bytes < large) return aligned_alloc(64, orl_align64(bytes));
+    size_t n = (bytes + large - 1) / large * large;
+    void *p = n < bytes ? NULL : aligned_alloc(large, n);
+    if (p) madvise(p, n, MADV_HUGEPAGE);
+    return p;
+}
 
 orl_camera orl_widen_small(const orl_camera *photo)
 {
