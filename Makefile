@@ -6,7 +6,7 @@
 #   make curves       PSNR against CPU minutes beside the NeRF-W baseline (hours; goes on where it was stopped); SCENES="FOLDER..."
 #   make ablation     what each part of the light model is worth (an hour; goes on where it was stopped); SCENE=FOLDER, CHECKPOINT=FILE of a finished fit
 #   make deps         Debian packages by name (nothing when all are there)
-#   make BOARD=rpi4   the runtime for aarch64 (boards/*.mk); also rpi5
+#   make BOARD=rpi4   the runtime for a board (boards/*.mk); also rpi5, armhf
 #   make clean        options: CC=clang  SAN=1  TRAIN_ARCH=-march=native  MPI= (without MPI, though mpicc is there)
 BOARD ?= host
 TRAIN_ARCH ?= -march=native
@@ -35,7 +35,7 @@ FLAGS := -g -O3 -Wall -Wextra -D_GNU_SOURCE -Iinclude -I. -MMD -MP $(CPU) $(DEFS
 LINK := $(if $(SAN),-fsanitize=address$(,)undefined) $(LDFLAGS)
 
 KERNELS := $(wildcard runtime/kernels/*.c)
-NOT := $(if $(filter x86_64,$(ARCH)),%_neon.c %_dotprod.c,%_avx2.c %_avx512.c)
+NOT := $(if $(filter x86_64,$(ARCH)),,%_avx2.c %_avx512.c) $(if $(filter aarch64,$(ARCH)),,%_neon.c %_dotprod.c)
 LIB := $(wildcard formats/*.c) $(filter-out runtime/main.c runtime/cmd_%.c,$(wildcard runtime/*.c)) $(filter-out $(NOT),$(KERNELS))
 APP := $(wildcard runtime/main.c runtime/cmd_*.c)
 MPI ?= $(if $(SAN)$(filter-out host,$(BOARD)),,$(shell command -v mpicc))

@@ -26,7 +26,7 @@ struct orl_blend {
     int cell_log2, cell, gw, gh, levels;
     int *x0, *x1;                       /* covered columns of each row, */
     int *in0, *in1;                     /* and those in which the photo stands alone */
-    int32_t *at;                        /* [pixel][2] the footprint's corner in the photo, Q8 */
+    orl_warp_at *at;                    /* [pixel] */
     uint8_t *weight, *seam, *layer;     /* [pixel] of the photo, of its seam colour; layer: 0..255 surface */
     uint8_t *warped;                    /* [pixel][3] */
     int64_t *sum;                       /* [layer][cell][4]: three differences and their weight */
@@ -54,7 +54,7 @@ static void lay_out(orl_arena *a, int w, int h, orl_blend **out)
     b->x1 = orl_arena_take(a, (size_t)h * sizeof *b->x1);
     b->in0 = orl_arena_take(a, (size_t)h * sizeof *b->in0);
     b->in1 = orl_arena_take(a, (size_t)h * sizeof *b->in1);
-    b->at = orl_arena_take(a, n * 2 * sizeof *b->at);
+    b->at = orl_arena_take(a, n * sizeof *b->at);
     b->weight = orl_arena_take(a, n);
     b->seam = orl_arena_take(a, n);
     b->layer = orl_arena_take(a, n);
@@ -120,13 +120,13 @@ static double smooth(double t)
     return t * t * (3 - 2 * t);
 }
 
-/* Shares Q15 of a box's pixels, by the fraction of its corner; count: of them that a fraction can have. */
-static int shares(int box, int fraction, int16_t out[ORL_WARP_ROWS])
+/* Shares of a box's pixels, by the fraction of its corner: they sum to one. Their number. */
+static int shares(int box, int fraction, int one, int16_t out[ORL_WARP_ROWS])
 {
-    int n = (fraction + box + 255) >> 8, rest = 32767;
+    int n = (fraction + box + 255) >> 8, rest = one;
     for (int k = 0; k < n; k++) {
         int left = k ? k << 8 : fraction, right = (k + 1) << 8 < fraction + box ? (k + 1) << 8 : fraction + box;
-        out[k] = (int16_t)(k == n - 1 ? rest : ((right - left) * 32767 + box / 2) / box);
+        out[k] = (int16_t)(k == n - 1 ? rest : ((right - left) * one + box / 2) / box);
         rest -= out[k];
     }
     return n;
@@ -142,9 +142,9 @@ static void warp_shares(orl_blend *b)
     memset(b->column, 0, 256 * ORL_WARP_PARTS * 16 * sizeof *b->column);
     memset(b->row, 0, 256 * ORL_WARP_ROWS * sizeof *b->row);
     for (int f = 0; f < 256; f++) {
-        int n = shares(b->box_x, f, one);
+        int n = shares(b->box_x, f, 32767, one);
         for (int k = 0; k < n; k++) for (int c = 0; c < 3; c++) b->column[(f * b->parts + k / ORL_WARP_PART) * 16 + k % ORL_WARP_PART * 3 + c] = one[k];
-        shares(b->box_y, f, b->row + f * ORL_WARP_ROWS);
+        shares(b->box_y, f, 256, b->row + f * ORL_WARP_ROWS);
     }
 }
 
@@ -175,15 +175,15 @@ static void place(void *user, int begin, int end)
             size_t i = (size_t)y * (size_t)b->w + (size_t)x;
             double d[3], uv[2];
             b->weight[i] = b->seam[i] = 0;
-            b->at[2 * i] = b->at[2 * i + 1] = 0;
+            b->at[i] = (orl_warp_at){ 0, 0, 0, 0 };
             photo_ray(wide, turn, x + 0.5, y + 0.5, d);
             if (!photo_pixel(photo, d, uv)) continue;
             double dx = uv[0] < b->pw - uv[0] ? uv[0] : b->pw - uv[0], dy = uv[1] < b->ph - uv[1] ? uv[1] : b->ph - uv[1], in = (dx < dy ? dx : dy) / feather;
             b->weight[i] = (uint8_t)(255 * smooth(in) + 0.5);
             b->seam[i] = (uint8_t)(255 * smooth((BAND - in) / BAND * 2) + 0.5);
-            b->at[2 * i] = clampi((int)(uv[0] * 256 + 0.5) - b->box_x / 2, 0, b->pw * 256 - b->box_x);
-            b->at[2 * i + 1] = clampi((int)(uv[1] * 256 + 0.5) - b->box_y / 2, 0, b->ph * 256 - b->box_y);
-            if (mask && masked(b, mask, b->at[2 * i], b->at[2 * i + 1])) b->seam[i] = 0;
+            int u = clampi((int)(uv[0] * 256 + 0.5) - b->box_x / 2, 0, b->pw * 256 - b->box_x), v = clampi((int)(uv[1] * 256 + 0.5) - b->box_y / 2, 0, b->ph * 256 - b->box_y);
+            b->at[i] = (orl_warp_at){ 3 * ((uint32_t)(v >> 8) * (uint32_t)b->pw + (uint32_t)(u >> 8)), (uint8_t)u, (uint8_t)v, 0 };
+            if (mask && masked(b, mask, u, v)) b->seam[i] = 0;
             if (b->x0[y] == b->w) b->x0[y] = x;
             b->x1[y] = x + 1;
         }
@@ -222,6 +222,7 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
 {
     double a[3], c[3], turn[9], gap = 0, size = 0;
     if (bytes < orl_blend_need(wide->w, wide->h)) return orl_fail(ORL_E_MEMORY, "blend: the block is too small");
+    if ((uint64_t)photo->w * (uint64_t)photo->h > UINT32_MAX / 3) return orl_fail(ORL_E_RANGE, "blend: a photo of %d x %d", photo->w, photo->h);
     orl_pose_centre(photo_pose, a);
     orl_pose_centre(wide_pose, c);
     for (int i = 0; i < 3; i++) {
@@ -300,7 +301,7 @@ static void measure(void *user, int begin, int end)
         int y1 = (cy + 1) * b->cell < b->h ? (cy + 1) * b->cell : b->h;
         for (int y = cy * b->cell; y < y1; y++) {
             size_t i = (size_t)y * (size_t)b->w + (size_t)b->x0[y];
-            in.at = (const int32_t (*)[2])b->at + i;
+            in.at = b->at + i;
             j->k.warp(&in, b->x1[y] - b->x0[y], b->warped + 3 * i);
             if (y % (b->cell / SEAM)) continue;
             seam(j, y, b->x0[y], b->in1[y] > b->in0[y] ? b->in0[y] : b->x1[y], sums);

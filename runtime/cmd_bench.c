@@ -109,6 +109,18 @@ static double psnr(const uint8_t *a, const uint8_t *b, size_t n)
     return sum > 0 ? 10 * log10(255.0 * 255 * (double)n / sum) : 99;
 }
 
+/* Pixels in runs that have a surface: of the others' planes only coverage is read. */
+static size_t surfaces(const orl_view *v)
+{
+    size_t n = 0;
+    for (size_t i = 0; i < (size_t)v->stride * (size_t)v->h; i += ORL_KERNEL_STEP) {
+        int any = 0;
+        for (size_t k = 0; k < ORL_KERNEL_STEP; k++) any |= v->cov[i + k];
+        n += any ? ORL_KERNEL_STEP : 0;
+    }
+    return n;
+}
+
 static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_blend *blend, const uint8_t *photo, size_t photo_bytes)
 {
     size_t n = (size_t)v->w * (size_t)v->h, padded = (size_t)v->stride * (size_t)v->h;
@@ -145,7 +157,7 @@ static orl_err kernels(const options *o, orl_view *v, const orl_light *l, orl_bl
             orl_blend_apply(blend, photo, rgb, cpu, 1);
             laid = fmin(laid, orl_seconds() - a);
         }
-        say(o, &(row){ "sun, shade, tone", VARIANT[k], shade, error_db, padded * (3 + 3 + 1 + 1 + (v->ceiling ? 4 : 3) + ORL_SHADOW_DIM) + 3 * n });
+        say(o, &(row){ "sun, shade, tone", VARIANT[k], shade, error_db, surfaces(v) * (3 + 3 + 1 + (v->ceiling ? 4 : 3) + ORL_SHADOW_DIM) + padded + 3 * n });
         say(o, &(row){ "blend", VARIANT[k], laid, NAN, photo_bytes + n * (3 + 3 + 2) });
     }
     free(block);

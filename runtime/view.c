@@ -625,7 +625,7 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
 static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, int n, int16_t *vis)
 {
     size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
-    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL };
+    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL, v->cov + at };
     if (v->ceiling) in.ceiling[0] = v->ceiling + i0, in.ceiling[1] = v->ceiling + i1;
     else if (with_fix) in.fix = v->fix + at;
     k->vis(&in, t, n, vis);
@@ -886,6 +886,31 @@ void orl_view_bake(orl_view *v, int y0, int y1, int threads, uint8_t *ceiling)
 
 /* ---- rows */
 
+static void look_ahead(orl_shade_in *in, const uint8_t *at, int step)
+{
+    for (int k = 0; k < step; k++) {
+        in->ahead[in->aheads].at = at + 64 * k;
+        in->ahead[in->aheads++].step = step;
+    }
+}
+
+/* What will be shaded CHUNK pixels later. */
+static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, size_t at, orl_shade_in *in)
+{
+    const size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
+    for (int c = 0; c < 3; c++) look_ahead(in, (const uint8_t *)v->normal[c] + at, 1);
+    for (int c = 0; c < 3; c++) look_ahead(in, v->albedo[c] + at, 1);
+    look_ahead(in, v->open + at, 1);
+    look_ahead(in, v->cov + at, 1);
+    look_ahead(in, v->horizon + i0, 1);
+    look_ahead(in, v->horizon + i1, 1);
+    if (v->ceiling) {
+        look_ahead(in, v->ceiling + i0, 1);
+        look_ahead(in, v->ceiling + i1, 1);
+    } else look_ahead(in, (const uint8_t *)v->fix + at, 1);
+    for (int g = 0; shadows && g < 2; g++) look_ahead(in, (const uint8_t *)v->phi[g] + at * ORL_PHI_GROUP, ORL_PHI_GROUP);
+}
+
 /* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. */
 static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t *const sky[3], uint8_t *rgb)
 {
@@ -904,8 +929,9 @@ static void shade_span(const orl_view *v, const orl_view_light *l, const orl_ker
             in.albedo[c] = v->albedo[c] + at;
             in.sky[c] = sky[c];
         }
+        if (at + 2 * CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + CHUNK, &in);
         vis_of(k, v, &l->vis, 1, at, padded_n, vis);
-        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, &l->tab, padded_n, s);
+        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, v->cov + at, &l->tab, padded_n, s);
         k->shade(&in, &l->tab, padded_n, whole ? to : tail);
         if (!whole) memcpy(to, tail, 3 * (size_t)n);
     }

@@ -3,7 +3,7 @@
 # The arm64 libraries of the board builds are unpacked into build/sysroot, not installed: installed they would drive out the native ones.
 set -eu
 packages=(gcc g++ clang make pkg-config libopenimageio-dev libopenexr-dev libcmocka-dev libjpeg62-turbo-dev libpng-dev zlib1g-dev
-          gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user-static ffmpeg openimageio-tools libclang-rt-14-dev
+          gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross qemu-user-static ffmpeg openimageio-tools libclang-rt-14-dev
           libopenmpi-dev openmpi-bin libxnnpack-dev libpthreadpool-dev qemu-user llvm)
 arm64=(libjpeg62-turbo libjpeg62-turbo-dev libpng16-16 libpng-dev zlib1g zlib1g-dev)
 root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }

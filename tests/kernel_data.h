@@ -16,7 +16,7 @@ typedef struct {
     int sky_log2, mix_log2, ceilings, traced, shadows;      /* what a view has */
     int16_t node[3][2][KD_NODES];
     uint8_t photo[3 * KD_N], render[3 * KD_N];              /* to the warp the photo is KD_SIDE pixels wide and high */
-    int32_t at[KD_N][2];
+    orl_warp_at at[KD_N];
     int box[2];
     int16_t column[256 * ORL_WARP_PARTS * 16], row[256 * ORL_WARP_ROWS];
 } kernel_data;
@@ -29,12 +29,12 @@ static inline int kd_in(uint64_t *r, kd_mode m, int lo, int hi)
     return m == KD_LOW ? lo : m == KD_HIGH ? hi : lo + (int)(kd_next(r) % (uint32_t)(hi - lo + 1));
 }
 
-/* Shares of the pixels of a box, whole numbers that are not equal and sum to 32767. */
+/* Shares of the pixels of a box, whole numbers that are not equal. */
 static inline void kd_warp(kernel_data *d)
 {
     for (int a = 0; a < 2; a++)
         for (int f = 0; f < 256; f++) {
-            int n = (f + d->box[a] + 255) >> 8, parts = ((510 + d->box[0]) / 256 + ORL_WARP_PART - 1) / ORL_WARP_PART, rest = 32767;
+            int n = (f + d->box[a] + 255) >> 8, parts = ((510 + d->box[0]) / 256 + ORL_WARP_PART - 1) / ORL_WARP_PART, rest = a ? 256 : 32767;
             for (int k = 0; k < n; k++) {
                 int share = k == n - 1 ? rest : rest * (f + 32) / (300 * (n - k) / 2 + 32);
                 rest -= share;
@@ -109,7 +109,10 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
         d->render[i] = (uint8_t)kd_in(&r, m, 0, 255);
     }
     for (int a = 0; a < 2; a++) d->box[a] = seed % 3 ? kd_in(&r, m, 256, seed % 3 == 1 ? 1024 : 2900) : 256;
-    for (int i = 0; i < KD_N; i++) for (int a = 0; a < 2; a++) d->at[i][a] = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[a]);
+    for (int i = 0; i < KD_N; i++) {
+        int u = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[0]), v = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[1]);
+        d->at[i] = (orl_warp_at){ (uint32_t)(3 * (KD_SIDE * (v >> 8) + (u >> 8))), (uint8_t)u, (uint8_t)v, 0 };
+    }
     kd_warp(d);
 }
 
@@ -120,7 +123,7 @@ static inline orl_warp_in kd_warp_struct(const kernel_data *d, int x)
 }
 static inline orl_vis_in kd_vis_struct(const kernel_data *d, int x)
 {
-    orl_vis_in in = { { d->horizon[0] + x, d->horizon[1] + x }, { NULL, NULL }, d->traced ? d->fix + x : NULL };
+    orl_vis_in in = { { d->horizon[0] + x, d->horizon[1] + x }, { NULL, NULL }, d->traced ? d->fix + x : NULL, d->cov + x };
     if (d->ceilings) in.ceiling[0] = d->ceiling[0] + x, in.ceiling[1] = d->ceiling[1] + x;
     return in;
 }

@@ -25,7 +25,7 @@ static void run(const orl_kernels *k, const kernel_data *d, int x, int n, output
     orl_shade_in in = kd_in_struct(d, x);
     orl_mix_in mix = kd_mix_struct(d, x);
     k->vis(&vis, &d->vis_tab, n, o->vis);
-    k->shadow((const int8_t *const[]){ d->phi[0] + ORL_PHI_GROUP * x, d->phi[1] + ORL_PHI_GROUP * x }, &d->tab, n, o->s);
+    k->shadow((const int8_t *const[]){ d->phi[0] + ORL_PHI_GROUP * x, d->phi[1] + ORL_PHI_GROUP * x }, d->cov + x, &d->tab, n, o->s);
     k->shade(&in, &d->tab, n, o->rgb);
     memcpy(o->mixed, d->render + 3 * x, 3 * (size_t)n);
     k->mix(&mix, n, o->mixed);
@@ -77,12 +77,13 @@ static void test_vis_is_smoothstep(void **state)
     const double quarter = 1.5707963267949, el = 0.7, unit = 255 * 256 / quarter;
     uint8_t h0[256], h1[256];
     int8_t fix[256];
+    uint8_t cov[256];
     int16_t vis[256];
-    for (int i = 0; i < 256; i++) { h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); fix[i] = (int8_t)(i % 3 * 127 - 127); }
+    for (int i = 0; i < 256; i++) { cov[i] = 255; h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); fix[i] = (int8_t)(i % 3 * 127 - 127); }
     for (int f = 0; f <= 256; f += 37)
         for (int mode = 0; mode < 3; mode++) {
             orl_vis_tab t = { 3, 4, f, (int32_t)((el + ORL_SUN_SOFT / 2) * unit), (int32_t)((quarter - el + ORL_SUN_SOFT / 2) * unit) };
-            orl_vis_in in = { { h0, h1 }, { mode == 1 ? h0 : NULL, mode == 1 ? h1 : NULL }, mode == 2 ? fix : NULL };
+            orl_vis_in in = { { h0, h1 }, { mode == 1 ? h0 : NULL, mode == 1 ? h1 : NULL }, mode == 2 ? fix : NULL, cov };
             orl_vis_ref(&in, &t, 256, vis);
             for (int i = 0; i < 256; i++) {
                 double h = (i + (255 - 2 * i) * f / 256.0) / 255 * quarter, want = smoothstep(el, h);
@@ -131,10 +132,10 @@ static void test_warp_is_a_mean(void **state)
     for (int y = 0; y < 4; y++) for (int x = 0; x < 4; x++) for (int c = 0; c < 3; c++) photo[y][x][c] = (uint8_t)(60 * x + 7 * y + 3 * c);
     const int f = 64, share[3] = { 192 * 32767 / 640, 256 * 32767 / 640, 32767 - 192 * 32767 / 640 - 256 * 32767 / 640 };      /* of a box from 0.25 to 2.75 */
     for (int k = 0; k < 3; k++) {
-        row[f * ORL_WARP_ROWS + k] = (int16_t)share[k];
+        row[f * ORL_WARP_ROWS + k] = (int16_t)(k == 1 ? 102 : 77);
         for (int c = 0; c < 3; c++) column[f * 16 + 3 * k + c] = (int16_t)share[k];
     }
-    orl_warp_ref(&(orl_warp_in){ photo[0][0], 12, sizeof photo, (const int32_t[][2]){ { 256 + f, f } }, 4, 1, 0, column, row }, 1, rgb);
+    orl_warp_ref(&(orl_warp_in){ photo[0][0], 12, sizeof photo, &(orl_warp_at){ 3, f, f, 0 }, 4, 1, 0, column, row }, 1, rgb);
     for (int c = 0; c < 3; c++) assert_int_equal(rgb[c], (int)((192 * 67 + 256 * 127 + 192 * 187) / 640.0 - 7 + (192 * 0 + 256 * 7 + 192 * 14) / 640.0 + 3 * c + 0.5));
 }
 

@@ -15,6 +15,7 @@ INLINE vec load(const int16_t *p) { return _mm256_loadu_si256((const __m256i *)p
 INLINE vec load_u8(const uint8_t *p) { return _mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)p)); }
 INLINE vec load_i8(const int8_t *p) { return _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)p)); }
 INLINE vec load_high(const int8_t *p) { return _mm256_slli_epi16(_mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)p)), 8); }       /* times 256 */
+INLINE vec load_part(const uint8_t *p) { return _mm256_slli_epi16(_mm256_cvtepu8_epi16(_mm_loadu_si128((const __m128i *)p)), 8); }
 INLINE void store(int16_t *p, vec v) { _mm256_storeu_si256((__m256i *)p, v); }
 
 INLINE vec add(vec a, vec b) { return _mm256_add_epi16(a, b); }
@@ -23,6 +24,7 @@ INLINE vec adds(vec a, vec b) { return _mm256_adds_epi16(a, b); }
 INLINE vec addu(vec a, vec b) { return _mm256_adds_epu16(a, b); }
 INLINE vec subu(vec a, vec b) { return _mm256_subs_epu16(a, b); }
 INLINE vec mul(vec a, vec b) { return _mm256_mulhrs_epi16(a, b); }
+INLINE vec part(vec v, vec b) { return _mm256_mulhi_epu16(v, b); }                       /* v by load_part, b not negative */
 INLINE vec mullo(vec a, vec b) { return _mm256_mullo_epi16(a, b); }
 INLINE vec min(vec a, vec b) { return _mm256_min_epi16(a, b); }
 INLINE vec max(vec a, vec b) { return _mm256_max_epi16(a, b); }
@@ -49,13 +51,20 @@ INLINE table table_of(const int16_t t[16])
 INLINE picker picker_of(vec i) { return (picker){ _mm256_or_si256(i, set1(0x8000)), _mm256_or_si256(_mm256_slli_epi16(i, 8), set1(0x0080)) }; }
 INLINE vec pick(table t, picker at) { return _mm256_or_si256(_mm256_shuffle_epi8(t.lo, at.lo), _mm256_shuffle_epi8(t.hi, at.hi)); }
 
-/* floor(log2) - 1 of 2 .. 32767, and what is below the leading bit, from the bits of floats. */
-typedef struct { picker log; vec rest; } power;
+/* Of 2 .. 32767: what a table holds for its log2, and what is below the leading bit, less 2^15, from the bits of floats. */
+typedef table power_table;
+typedef struct { __m256i log, rest; } power;
+INLINE power_table power_table_of(const int16_t t[16]) { return table_of(t); }
 INLINE power power_of(vec v)
 {
     __m256i even = _mm256_castps_si256(_mm256_cvtepi32_ps(_mm256_and_si256(v, _mm256_set1_epi32(0xffff)))), odd = _mm256_castps_si256(_mm256_cvtepi32_ps(_mm256_srli_epi32(v, 16)));
-    __m256i rest = _mm256_blend_epi16(_mm256_srli_epi32(even, 7), _mm256_slli_epi32(odd, 9), 0xaa), log = _mm256_blend_epi16(_mm256_srli_epi32(even, 23), _mm256_srli_epi32(odd, 7), 0xaa);
-    return (power){ picker_of(_mm256_xor_si256(log, set1(128))), _mm256_xor_si256(rest, set1(-32768)) };       /* 127 + log */
+    __m256i rest = _mm256_blend_epi16(_mm256_srli_epi32(even, 8), _mm256_slli_epi32(odd, 8), 0xaa), log = _mm256_blend_epi16(_mm256_srli_epi32(even, 23), _mm256_srli_epi32(odd, 7), 0xaa);
+    return (power){ log, _mm256_or_si256(rest, set1(-32768)) };
+}
+INLINE vec pick_power(power_table t, power p)           /* 127 + log: 128 above a table's place */
+{
+    __m256i lo = _mm256_xor_si256(p.log, set1(-32640)), hi = _mm256_xor_si256(_mm256_slli_epi16(p.log, 8), set1(-32640));        /* 0x8080 */
+    return _mm256_or_si256(_mm256_shuffle_epi8(t.lo, lo), _mm256_shuffle_epi8(t.hi, hi));
 }
 
 /* Nodes of LANES columns from x on: at most two, their border in the middle. */

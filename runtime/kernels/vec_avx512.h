@@ -17,13 +17,14 @@ INLINE vec set1(int v) { return _mm512_set1_epi16((short)v); }
 INLINE vec load(const int16_t *p) { return _mm512_loadu_si512(p); }
 INLINE vec load_u8(const uint8_t *p) { return _mm512_cvtepu8_epi16(_mm256_loadu_si256((const __m256i *)p)); }
 INLINE vec load_i8(const int8_t *p) { return _mm512_cvtepi8_epi16(_mm256_loadu_si256((const __m256i *)p)); }
-INLINE vec load_high(const int8_t *p)               /* times 256 */
+INLINE vec load_part(const uint8_t *p)              /* times 256 */
 {
 #define HIGH(i) 0, (i),
     static const uint8_t from[64] __attribute__((aligned(64))) = { PX32(HIGH) };
 #undef HIGH
     return _mm512_maskz_permutexvar_epi8(0xaaaaaaaaaaaaaaaa, _mm512_load_si512(from), _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i *)p)));
 }
+INLINE vec load_high(const int8_t *p) { return load_part((const uint8_t *)p); }
 INLINE vec lanes(void)
 {
     static const uint8_t n[LANES] = { 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31 };
@@ -37,6 +38,7 @@ INLINE vec adds(vec a, vec b) { return _mm512_adds_epi16(a, b); }
 INLINE vec addu(vec a, vec b) { return _mm512_adds_epu16(a, b); }
 INLINE vec subu(vec a, vec b) { return _mm512_subs_epu16(a, b); }
 INLINE vec mul(vec a, vec b) { return _mm512_mulhrs_epi16(a, b); }
+INLINE vec part(vec v, vec b) { return _mm512_mulhi_epu16(v, b); }                       /* v by load_part, b not negative */
 INLINE vec mullo(vec a, vec b) { return _mm512_mullo_epi16(a, b); }
 INLINE vec min(vec a, vec b) { return _mm512_min_epi16(a, b); }
 INLINE vec max(vec a, vec b) { return _mm512_max_epi16(a, b); }
@@ -58,14 +60,21 @@ INLINE table table_of(const int16_t t[16]) { return _mm512_broadcast_i64x4(_mm25
 INLINE picker picker_of(vec i) { return i; }
 INLINE vec pick(table t, picker at) { return _mm512_permutexvar_epi16(at, t); }
 
-/* floor(log2) - 1 of 2 .. 32767, and what is below the leading bit. An odd lane is never 0, so a pair's leading zeros are its own. */
-typedef struct { picker log; vec rest; } power;
+/* Of 2 .. 32767: what a table holds for its log2, and what is below the leading bit, less 2^15. An odd lane is never 0, so a pair's leading zeros are its own: 15 - log, and 31 - log in even lanes. */
+typedef __m512i power_table;
+typedef struct { __m512i zeros; vec rest; } power;
+INLINE power_table power_table_of(const int16_t t[16])
+{
+    int16_t by_zeros[32] = { 0 };
+    for (int log = 1; log < 15; log++) by_zeros[15 - log] = by_zeros[31 - log] = t[log - 1];
+    return load(by_zeros);
+}
 INLINE power power_of(vec v)
 {
-    vec zeros = _mm512_or_si512(_mm512_lzcnt_epi32(_mm512_and_si512(v, _mm512_set1_epi32(0xffff))), _mm512_slli_epi32(_mm512_lzcnt_epi32(v), 16));    /* even: 31 - log; odd: 15 - log */
-    vec rest = _mm512_sllv_epi16(add(v, v), and(zeros, set1(15)));
-    return (power){ sub(set1(30), zeros), _mm512_xor_si512(rest, set1(-32768)) };
+    __m512i zeros = _mm512_or_si512(_mm512_lzcnt_epi32(_mm512_and_si512(v, _mm512_set1_epi32(0xffff))), _mm512_slli_epi32(_mm512_lzcnt_epi32(v), 16));
+    return (power){ zeros, _mm512_sllv_epi16(v, and(zeros, set1(15))) };
 }
+INLINE vec pick_power(power_table t, power p) { return _mm512_permutexvar_epi16(p.zeros, t); }
 
 /* Nodes of LANES columns from x on: at most three. */
 INLINE vec nodes(const int16_t *p, int x, int log2)

@@ -21,6 +21,7 @@ INLINE vec load(const int16_t *p) { return vld1q_s16(p); }
 INLINE vec load_u8(const uint8_t *p) { return S(vmovl_u8(vld1_u8(p))); }
 INLINE vec load_i8(const int8_t *p) { return vmovl_s8(vld1_s8(p)); }
 INLINE vec load_high(const int8_t *p) { return vshll_n_s8(vld1_s8(p), 8); }             /* times 256 */
+INLINE vec load_part(const uint8_t *p) { return S(vshll_n_u8(vld1_u8(p), 7)); }
 INLINE void store(int16_t *p, vec v) { vst1q_s16(p, v); }
 
 INLINE vec add(vec a, vec b) { return vaddq_s16(a, b); }
@@ -29,6 +30,7 @@ INLINE vec adds(vec a, vec b) { return vqaddq_s16(a, b); }
 INLINE vec addu(vec a, vec b) { return S(vqaddq_u16(U(a), U(b))); }
 INLINE vec subu(vec a, vec b) { return S(vqsubq_u16(U(a), U(b))); }
 INLINE vec mul(vec a, vec b) { return vqrdmulhq_s16(a, b); }
+INLINE vec part(vec v, vec b) { return vqdmulhq_s16(v, b); }                            /* v by load_part, b not negative */
 INLINE vec mullo(vec a, vec b) { return vmulq_s16(a, b); }
 INLINE vec min(vec a, vec b) { return vminq_s16(a, b); }
 INLINE vec max(vec a, vec b) { return vmaxq_s16(a, b); }
@@ -50,13 +52,21 @@ INLINE table table_of(const int16_t t[16]) { return (table){ { vld1q_u8((const u
 INLINE picker picker_of(vec i) { return vreinterpretq_u8_s16(vmlaq_n_s16(set1(0x0100), i, 0x0202)); }
 INLINE vec pick(table t, picker at) { return vreinterpretq_s16_u8(vqtbl2q_u8(t, at)); }
 
-/* floor(log2) - 1 of 2 .. 32767, and what is below the leading bit. */
-typedef struct { picker log; vec rest; } power;
+/* Of 2 .. 32767: what a table holds for its log2, and what is below the leading bit, less 2^15. */
+typedef table power_table;
+typedef struct { vec zeros, rest; } power;
+INLINE power_table power_table_of(const int16_t t[16])
+{
+    int16_t by_zeros[16] = { 0 };
+    for (int log = 1; log < 15; log++) by_zeros[15 - log] = t[log - 1];
+    return table_of(by_zeros);
+}
 INLINE power power_of(vec v)
 {
     vec zeros = vclzq_s16(v);                                                           /* 15 - log */
-    return (power){ picker_of(vsubq_s16(set1(14), zeros)), veorq_s16(vshlq_s16(vaddq_s16(v, v), zeros), set1(-32768)) };
+    return (power){ zeros, vshlq_s16(v, zeros) };
 }
+INLINE vec pick_power(power_table t, power p) { return pick(t, picker_of(p.zeros)); }
 
 /* The node of LANES columns from x on. */
 INLINE vec nodes(const int16_t *p, int x, int log2) { return vld1q_dup_s16(p + (x >> log2)); }
@@ -113,13 +123,28 @@ typedef vec half;
 #define half_load load
 #define half_add add
 #define half_mul mul
-INLINE half half_pixels(const uint8_t *p) { return S(vshll_n_u8(vld1_u8(p), 7)); }
+#define half_mullo mullo
+#define half_shr shr
+#define half_pixels load_u8
 #define half_down(v, n) vextq_s16(v, vdupq_n_s16(0), n)
 #define half_up(v, n) vextq_s16(vdupq_n_s16(0), v, 8 - (n))
+
+typedef int16x8x2_t pair;
+INLINE pair pair_set1(int v) { return (pair){ { set1(v), set1(v) } }; }
+INLINE pair pair_load(const int16_t *p) { return (pair){ { load(p), load(p + 8) } }; }
+INLINE pair pair_pixels(const uint8_t *p) { return (pair){ { load_u8(p), load_u8(p + 8) } }; }
+INLINE pair pair_add(pair a, pair b) { return (pair){ { add(a.val[0], b.val[0]), add(a.val[1], b.val[1]) } }; }
+INLINE pair pair_mul(pair a, pair b) { return (pair){ { mul(a.val[0], b.val[0]), mul(a.val[1], b.val[1]) } }; }
+INLINE pair pair_mullo(pair a, pair b) { return (pair){ { mullo(a.val[0], b.val[0]), mullo(a.val[1], b.val[1]) } }; }
+#define pair_shr(v, n) ((pair){ { shr((v).val[0], n), shr((v).val[1], n) } })
+INLINE half pair_low(pair v) { return v.val[0]; }
+INLINE half pair_high(pair v) { return v.val[1]; }
+
 INLINE void half_store_rgb(uint8_t *p, half v, int last)           /* v >> 7; but for the last, a byte more */
 {
     uint32_t rgb = vget_lane_u32(vreinterpret_u32_u8(vqshrn_n_u16(U(v), 7)), 0);
-    memcpy(p, &rgb, last ? 3 : 4);
+    if (last) memcpy(p, &rgb, 3);
+    else memcpy(p, &rgb, 4);
 }
 
 INLINE void load_rgb(const uint8_t *p, vec c[3])

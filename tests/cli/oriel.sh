@@ -22,7 +22,7 @@ if command -v python3 >/dev/null; then "$O" info --json "$W/scene.oriel" | pytho
 want=$("$O" run $scene $pose $clip --sink hash: --cpu=ref --threads=1)
 [[ $want = hash\ *6\ frames\ of\ 200\ x\ 120 ]] || fail "run said '$want'"
 for cpu in ref auto avx2 avx512 neon dotprod; do
-    for threads in 1 2; do
+    for threads in 1 2 3 4; do
         got=$("$O" run $scene $pose $clip --sink hash: --cpu=$cpu --threads=$threads 2>"$W/err") || { grep -q 'does not have it' "$W/err" || fail "--cpu=$cpu: $(cat "$W/err")"; continue; }
         [ "$got" = "$want" ] || fail "--cpu=$cpu --threads=$threads: $got, not $want"
     done
@@ -49,21 +49,21 @@ expect 1 "no baked view" "$O" run --view "$W/scene.oriel" $clip --sink hash:
 expect 1 "no surface" "$O" run --scene "$W/kiosk.oriel" $pose $clip --sink hash:
 expect 2 "either --view or both" "$O" run --view "$W/kiosk.oriel" $pose $clip --sink hash:
 expect 2 "settled when a view is baked" "$O" run --view "$W/kiosk.oriel" $clip --sink hash: --widen 2
-if command -v aarch64-linux-gnu-gcc >/dev/null && command -v qemu-aarch64-static >/dev/null; then
-    board_want=$("$O" run $scene $pose $clip --sink hash: --frames 3)       # emulation is slow
-    baked_want=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --frames 3)
-    for board in rpi4 rpi5; do
-        make -s BOARD=$board CC=aarch64-linux-gnu-gcc SAN= build/$board/oriel >"$W/make" 2>&1 || { fail "make BOARD=$board: $(tail -3 "$W/make")"; continue; }
-        cpu=cortex-a72 name=neon
-        [ $board = rpi5 ] && cpu=max name=dotprod
-        got=$(qemu-aarch64-static -cpu $cpu build/$board/oriel run $scene $pose $clip --sink hash: --cpu=$name --threads=2 --frames 3)
-        [ "$got" = "$board_want" ] || fail "$board, $name: $got, not $board_want"
-        got=$(qemu-aarch64-static -cpu $cpu build/$board/oriel run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$name --threads=2 --frames 3)
-        [ "$got" = "$baked_want" ] || fail "$board, $name, baked: $got, not $baked_want"
-    done
-else
-    echo "oriel.sh: no aarch64 cross compiler or qemu here: boards left out"
-fi
+board_want=$("$O" run $scene $pose $clip --sink hash: --frames 3)       # emulation is slow
+baked_want=$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --frames 3)
+while read -r board cc qemu cpu name threads; do
+    command -v $cc >/dev/null && command -v $qemu >/dev/null || { echo "oriel.sh: no $cc or $qemu here: $board on $cpu left out"; continue; }
+    make -s BOARD=$board CC=$cc SAN= build/$board/oriel >"$W/make" 2>&1 || { fail "make BOARD=$board: $(tail -3 "$W/make")"; continue; }
+    got=$($qemu -cpu $cpu build/$board/oriel run $scene $pose $clip --sink hash: --cpu=$name --threads=$threads --frames 3)
+    [ "$got" = "$board_want" ] || fail "$board on $cpu, $name: $got, not $board_want"
+    got=$($qemu -cpu $cpu build/$board/oriel run --view "$W/kiosk.oriel" $clip --sink hash: --cpu=$name --threads=$threads --frames 3)
+    [ "$got" = "$baked_want" ] || fail "$board on $cpu, $name, baked: $got, not $baked_want"
+done <<END
+rpi4 aarch64-linux-gnu-gcc qemu-aarch64-static cortex-a53 neon 1
+rpi4 aarch64-linux-gnu-gcc qemu-aarch64-static cortex-a72 neon 2
+rpi5 aarch64-linux-gnu-gcc qemu-aarch64-static cortex-a76 dotprod 3
+armhf arm-linux-gnueabihf-gcc qemu-arm-static max ref 4
+END
 
 # sources and sinks
 "$O" run $scene $pose $clip --sink "y4m:$W/wide.y4m" || fail "y4m sink"

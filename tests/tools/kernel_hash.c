@@ -32,7 +32,7 @@ static uint64_t hash_kernels(unsigned cpu)
         orl_vis_in sun = kd_vis_struct(&d, 0);
         orl_shade_in in = kd_in_struct(&d, 0);
         k.vis(&sun, &d.vis_tab, KD_N, vis);
-        k.shadow((const int8_t *const[]){ d.phi[0], d.phi[1] }, &d.tab, KD_N, s);
+        k.shadow((const int8_t *const[]){ d.phi[0], d.phi[1] }, d.cov, &d.tab, KD_N, s);
         k.shade(&in, &d.tab, KD_N, rgb);
         h = fnv(fnv(fnv(h, vis, sizeof vis), s, sizeof s), rgb, sizeof rgb);
         orl_mix_in mix = kd_mix_struct(&d, 0);
