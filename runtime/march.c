@@ -52,6 +52,8 @@ void orl_march_run(const orl_scene *s, int refine, orl_march *m)
     if (cpu & ORL_CPU_AVX512) march = orl_rays_march_avx512;
 #elif defined(__aarch64__)
     if (cpu & ORL_CPU_NEON) march = orl_rays_march_neon;
+#else
+    (void)cpu;
 #endif
     march(s, n, refine, r);
 }
