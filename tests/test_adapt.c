@@ -336,7 +336,7 @@ static void unseen_sky_is_as_elsewhere(void **state)
 int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
-    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(threads_agree), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(hostile_start),
-                                        cmocka_unit_test(unseen_sky_is_as_elsewhere) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(hostile_start),
+                                        cmocka_unit_test(unseen_sky_is_as_elsewhere), cmocka_unit_test(threads_agree) };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
