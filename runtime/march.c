@@ -45,15 +45,7 @@ void orl_march_run(const orl_scene *s, int refine, orl_march *m)
         for (int k = 0; k < n; k++) r->t[k] = -1;
         return;
     }
-    void (*march)(const orl_scene *, int, int, orl_rays *) = orl_rays_march_ref;
-    unsigned cpu = s->nbricks > ORL_RAY_BRICKS ? ORL_CPU_REF : orl_cpu_detect();
-#if defined(__x86_64__)
-    if (cpu & ORL_CPU_AVX2) march = orl_rays_march_avx2;
-    if (cpu & ORL_CPU_AVX512) march = orl_rays_march_avx512;
-#elif defined(__aarch64__)
-    if (cpu & ORL_CPU_NEON) march = orl_rays_march_neon;
-#endif
-    march(s, n, refine, r);
+    orl_rays_march(s, n, refine, orl_cpu_detect(), r);
 }
 
 int orl_march_hit(const orl_scene *s, const orl_march *m, int k, orl_hit *out)

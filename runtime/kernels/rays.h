@@ -33,7 +33,9 @@ typedef struct {
     int32_t cut[ORL_RAYS];                      /* out: -1: a section, 0: a surface */
 } orl_rays;
 
-/* n: a multiple of ORL_RAY_STEP. refine 0: t is the sample's. Scenes of bricks; but for _ref, ORL_RAY_BRICKS of them at most. */
+/* n: a multiple of ORL_RAY_STEP. refine 0: t is the sample's. Scenes of one brick at least. By the best variant that the flags allow. */
+void orl_rays_march(const orl_scene *s, int n, int refine, unsigned cpu, orl_rays *r);
+/* Instruction sets; but for _ref, ORL_RAY_BRICKS bricks at most. */
 enum { ORL_RAY_BRICKS = 2000000 };
 void orl_rays_march_ref(const orl_scene *s, int n, int refine, orl_rays *r);
 void orl_rays_march_avx2(const orl_scene *s, int n, int refine, orl_rays *r);
