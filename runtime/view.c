@@ -517,7 +517,7 @@ static void make_light(orl_shade_tab *t, const orl_light *l)
     }
     int k = 20;
     while (k > 4 && most * exp2i(k) > 32700) k--;
-    const double one = exp2i(k);
+    const double one = most * exp2i(k) > 32700 ? 32700 / most : exp2i(k);       /* above 2000 x white all of it is darker, and white */
     for (int c = 0; c < 3; c++) {
         t->sun_dir[c] = entry(32767 * (double)clampf(l->sun_dir[c], -1, 1));
         t->sun[c] = entry(one * sun[c] * up);
