@@ -10,7 +10,8 @@ float orl_facing_near(const orl_facings *f, const float n[3], float to[3])
     for (int k = 0; k < f->n; k++) {
         const float *d = f->dir[k];
         float dot = n[0] * d[0] + n[1] * d[1] + n[2] * d[2];
-        if (dot > c) { c = dot; best = k; }
+        best = dot > c ? k : best;
+        c = dot > c ? dot : c;
     }
     if (best < 0) return 0;
     memcpy(to, f->dir[best], sizeof f->dir[best]);

@@ -1,16 +1,18 @@
-/* A pool of threads that is started once and kept (include/oriel/parallel.h). */
+/* A pool of threads that is started once and kept (include/oriel/parallel.h). Waking a thread takes longer than many a section does: before they sleep, threads look out for the next one a while, if each has a core. */
 #include "oriel/parallel.h"
 #include <pthread.h>
 #include <stdatomic.h>
+#include <time.h>
 #include <unistd.h>
 
-enum { MAX_THREADS = 64 };
+enum { MAX_THREADS = 64, LOOK_OUT = 100000 };       /* ns */
 
 static struct {
     pthread_mutex_t lock, busy;
     pthread_cond_t start, done;
-    int started, wanted, running;
-    unsigned generation;
+    int started, wanted, cores;
+    atomic_int running;
+    atomic_uint generation;
     void (*fn)(void *, int, int);
     void *user;
     int n, grain;
@@ -29,6 +31,15 @@ static void work(void)
     }
 }
 
+static long now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return t.tv_nsec + 1000000000L * (t.tv_sec & 1);
+}
+
+static long since(long then) { long d = now() - then; return d < 0 ? d + 2000000000L : d; }
+
 static void *thread_main(void *arg)
 {
     int id = (int)(long)arg;
@@ -36,6 +47,11 @@ static void *thread_main(void *arg)
     inside = 1;
     pthread_mutex_lock(&pool.lock);
     for (;;) {
+        if (id < pool.wanted && pool.wanted < pool.cores && seen == pool.generation) {
+            pthread_mutex_unlock(&pool.lock);
+            for (long then = now(); seen == atomic_load(&pool.generation) && since(then) < LOOK_OUT; ) { }
+            pthread_mutex_lock(&pool.lock);
+        }
         while (seen == pool.generation) pthread_cond_wait(&pool.start, &pool.lock);
         seen = pool.generation;
         if (id >= pool.wanted) continue;
@@ -65,6 +81,7 @@ void orl_parallel(int threads, int n, int grain, void (*fn)(void *, int, int), v
     }
     pthread_mutex_lock(&pool.busy);             /* one parallel section at a time */
     pthread_mutex_lock(&pool.lock);
+    if (!pool.cores) pool.cores = orl_cores();
     while (pool.started < threads - 1) {
         pthread_t t;
         if (pthread_create(&t, NULL, thread_main, (void *)(long)pool.started)) break;
@@ -84,6 +101,7 @@ void orl_parallel(int threads, int n, int grain, void (*fn)(void *, int, int), v
     inside = 1;
     work();
     inside = 0;
+    for (long then = now(); atomic_load(&pool.running) > 0 && since(then) < LOOK_OUT; ) { }
     pthread_mutex_lock(&pool.lock);
     while (pool.running > 0) pthread_cond_wait(&pool.done, &pool.lock);
     pthread_mutex_unlock(&pool.lock);

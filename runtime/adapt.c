@@ -5,8 +5,9 @@
 #include <math.h>
 #include <string.h>
 #include "oriel/math.h"
+#include "oriel/parallel.h"
 
-enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400 };
+enum { N = ORL_CODE, LANES = 4, BLOCKS = (N + LANES - 1) / LANES, COARSE_SAMPLES = 250, COARSE_STEPS = 6, INDEPENDENT = 400, PARTS = 4, PART_LEAST = 150, DESKS = 4, STARTS = 128 };        /* PARTS: samples are summed in, from PART_LEAST each on; DESKS: at which starts are tried side by side */
 typedef float v4 __attribute__((vector_size(16)));
 #define PI 3.14159265f
 #define TAU_COARSE 1.0f     /* scale of the robust weights on the residual's RGB norm: first and last of the coarse stage, */
@@ -21,21 +22,30 @@ typedef struct {
     double weight, kept, square;    /* sums: of weights, of robust weights, of robustly weighted squares */
 } normal;
 
+/* What a part of the samples adds to them. rho: robust costs at the two scales. */
+typedef struct {
+    v4 h[N][BLOCKS], across[ORL_C_TONE][3], within[3][LANES];       /* across: light x a channel's tone; within: its tone x itself; lanes as tone_entry */
+    float g[N];
+    double rho, rho_before, weight, kept, square;
+} part;
+
 typedef struct {
     orl_light light;
     orl_light_jac jac;
     normal eq[2];
-    v4 across[ORL_C_TONE][3], within[3][LANES];     /* of the normal equations: light x a channel's tone, its tone x itself; lanes as tone_entry */
+    part parts[PARTS];
     double l[N][N];
     const orl_light_model *m;
     const orl_sample *s;
     size_t n;
     float prior_weight, sigma;
+    int threads;
     uint8_t fixed[N];
 } state;
 
-orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 0 }; }
-size_t orl_adapt_need(void) { return (sizeof(state) + 63) & ~(size_t)63; }
+orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 1, 0 }; }
+static size_t room(void) { return (sizeof(state) + 63) & ~(size_t)63; }
+size_t orl_adapt_need(void) { return DESKS * room(); }
 
 static float clampf(float x, float lo, float hi) { return x > lo ? x < hi ? x : hi : lo; }
 static float wrap(float a) { a -= 2 * PI * (float)(int)(a * (1 / (2 * PI))); return a > PI ? a - 2 * PI : a < -PI ? a + 2 * PI : a; }
@@ -81,7 +91,7 @@ static void believe_in_sky(state *w, normal *q)
 /* Entry of a channel's tone: k 0..2 its row of A, 3 its b. */
 static int tone_entry(int c, int k) { return k < 3 ? ORL_C_TONE + 3 * c + k : ORL_C_TONE + 9 + c; }
 
-static void place_tone(const state *w, normal *q)
+static void place_tone(const part *w, normal *q)
 {
     for (int c = 0; c < 3; c++)
         for (int k = 0; k < LANES; k++) {
@@ -91,56 +101,96 @@ static void place_tone(const state *w, normal *q)
         }
 }
 
-static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
+typedef struct { state *w; float t2, b2; size_t stride; int parts; } summing;
+
+/* Sums part k of the samples. */
+static void add_part(const summing *j, int k)
 {
+    state *w = j->w;
+    part *q = &w->parts[k];
+    size_t count = (w->n + j->stride - 1) / j->stride, from = count * (size_t)k / (size_t)j->parts, to = count * (size_t)(k + 1) / (size_t)j->parts;
     memset(q, 0, sizeof *q);
-    memset(w->across, 0, sizeof w->across);
-    memset(w->within, 0, sizeof w->within);
-    orl_light_decode(w->m, code, &w->light);
-    orl_light_jac_decode(w->m, &w->light, &w->jac);
-    float t2 = tau * tau, b2 = tau_before * tau_before;
-    double rho = 0, rho_before = 0;
-    for (size_t i = 0; i < w->n; i += stride) {
-        const orl_sample *s = &w->s[i];
+    for (size_t i = from; i < to; i++) {
+        const orl_sample *s = &w->s[i * j->stride];
         if (!usable(s)) continue;
         float rgb[3], J[3][N], r[3], e2 = 0;
         orl_light_shade_jac(&w->light, &w->jac, s, rgb, J);
-        v4 j[3][BLOCKS] = { { { 0 } } };
+        v4 d[3][BLOCKS] = { { { 0 } } };
         for (int c = 0; c < 3; c++) {
             r[c] = rgb[c] - s->rgb[c];
             if (r[c] > 0 && s->rgb[c] >= 250.0f / 255) { r[c] = 0; continue; }  /* saturated: any brighter model fits, and the row stays zero */
-            memcpy(j[c], J[c], sizeof J[c]);
+            memcpy(d[c], J[c], sizeof J[c]);
             e2 += r[c] * r[c];
         }
-        float share = t2 / (e2 + t2), a = s->weight * share * share;
-        rho += s->weight * e2 * share;
-        rho_before += s->weight * e2 * (b2 / (e2 + b2));
+        float share = j->t2 / (e2 + j->t2), a = s->weight * share * share;
+        q->rho += s->weight * e2 * share;
+        q->rho_before += s->weight * e2 * (j->b2 / (e2 + j->b2));
         q->weight += s->weight;
         q->kept += a;
         q->square += a * e2;
-        const float *j0 = (const float *)j[0], *j1 = (const float *)j[1], *j2 = (const float *)j[2];
+        const float *j0 = (const float *)d[0], *j1 = (const float *)d[1], *j2 = (const float *)d[2];
         v4 tone[3];                                                             /* a channel's own tone: three of A, one of b; other channels' is nothing to it */
         for (int c = 0; c < 3; c++) {
-            const float *t = (const float *)j[c] + ORL_C_TONE;
+            const float *t = (const float *)d[c] + ORL_C_TONE;
             tone[c] = (v4){ t[3 * c], t[3 * c + 1], t[3 * c + 2], t[9 + c] };
         }
-        for (int k = 0; k < ORL_C_TONE; k++) {                                  /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
-            if (j0[k] == 0 && j1[k] == 0 && j2[k] == 0) continue;
-            float a0 = a * j0[k], a1 = a * j1[k], a2 = a * j2[k];
-            q->g[k] += a0 * r[0] + a1 * r[1] + a2 * r[2];
-            for (int b = k / LANES; b <= ORL_C_TONE / LANES; b++) q->h[k][b] += a0 * j[0][b] + a1 * j[1][b] + a2 * j[2][b];
-            w->across[k][0] += a0 * tone[0];
-            w->across[k][1] += a1 * tone[1];
-            w->across[k][2] += a2 * tone[2];
+        for (int m = 0; m < ORL_C_TONE; m++) {                                  /* many rows are empty: sky pixels have no shadow, surfaces no sky code */
+            if (j0[m] == 0 && j1[m] == 0 && j2[m] == 0) continue;
+            float a0 = a * j0[m], a1 = a * j1[m], a2 = a * j2[m];
+            q->g[m] += a0 * r[0] + a1 * r[1] + a2 * r[2];
+            for (int b = m / LANES; b <= ORL_C_TONE / LANES; b++) q->h[m][b] += a0 * d[0][b] + a1 * d[1][b] + a2 * d[2][b];
+            q->across[m][0] += a0 * tone[0];
+            q->across[m][1] += a1 * tone[1];
+            q->across[m][2] += a2 * tone[2];
         }
         for (int c = 0; c < 3; c++)
-            for (int k = 0; k < LANES; k++) {
-                float at = a * tone[c][k];
-                w->within[c][k] += at * tone[c];
-                q->g[tone_entry(c, k)] += at * r[c];
+            for (int m = 0; m < LANES; m++) {
+                float at = a * tone[c][m];
+                q->within[c][m] += at * tone[c];
+                q->g[tone_entry(c, m)] += at * r[c];
             }
     }
-    place_tone(w, q);
+}
+
+static void add_parts(void *user, int begin, int end)
+{
+    for (int k = begin; k < end; k++) add_part(user, k);
+}
+
+/* The parts' sums in their order, all in the first. */
+static void gather(state *w, int parts, normal *q)
+{
+    part *all = &w->parts[0];
+    for (int k = 1; k < parts; k++) {
+        const part *p = &w->parts[k];
+        for (int m = 0; m < ORL_C_TONE; m++) {
+            for (int b = m / LANES; b <= ORL_C_TONE / LANES; b++) all->h[m][b] += p->h[m][b];
+            for (int c = 0; c < 3; c++) all->across[m][c] += p->across[m][c];
+        }
+        for (int c = 0; c < 3; c++) for (int m = 0; m < LANES; m++) all->within[c][m] += p->within[c][m];
+        for (int m = 0; m < N; m++) all->g[m] += p->g[m];
+        all->rho += p->rho;
+        all->rho_before += p->rho_before;
+        all->weight += p->weight;
+        all->kept += p->kept;
+        all->square += p->square;
+    }
+    memcpy(q->h, all->h, sizeof q->h);
+    memcpy(q->g, all->g, sizeof q->g);
+    q->weight = all->weight;
+    q->kept = all->kept;
+    q->square = all->square;
+    place_tone(all, q);
+}
+
+static void evaluate(state *w, const float *code, float tau_before, float tau, size_t stride, normal *q)
+{
+    size_t count = (w->n + stride - 1) / stride;
+    summing j = { w, tau * tau, tau_before * tau_before, stride, count >= PARTS * PART_LEAST ? PARTS : 1 };
+    orl_light_decode(w->m, code, &w->light);
+    orl_light_jac_decode(w->m, &w->light, &w->jac);
+    orl_parallel(j.parts > 1 ? w->threads : 1, j.parts, 1, add_parts, &j);
+    gather(w, j.parts, q);
     float scale = (q->weight > INDEPENDENT ? INDEPENDENT / (float)q->weight : 1) / (w->sigma * w->sigma);
     float d[N];
     double prior = 0;
@@ -153,8 +203,8 @@ static void evaluate(state *w, const float *code, float tau_before, float tau, s
         q->g[k] = q->g[k] * scale + w->prior_weight * pd;
         prior += 0.5 * w->prior_weight * d[k] * pd;
     }
-    q->cost = 0.5 * scale * rho + prior;
-    q->cost_before = 0.5 * scale * rho_before + prior;
+    q->cost = 0.5 * scale * w->parts[0].rho + prior;
+    q->cost_before = 0.5 * scale * w->parts[0].rho_before + prior;
     believe_in_sky(w, q);
 }
 
@@ -299,6 +349,30 @@ static void finish(state *w, const descent *d, const normal *q, int steps, orl_a
     }
 }
 
+typedef struct { state *desk[DESKS]; descent *start; int count, steps; size_t stride; } trying;
+
+static void copy_task(state *to, const state *w)
+{
+    to->m = w->m;
+    to->s = w->s;
+    to->n = w->n;
+    to->prior_weight = w->prior_weight;
+    to->sigma = w->sigma;
+    to->threads = 1;
+    memcpy(to->fixed, w->fixed, sizeof to->fixed);
+}
+
+/* Desk k takes every DESKS-th start. */
+static void try_starts(void *user, int begin, int end)
+{
+    const trying *j = user;
+    for (int k = begin; k < end; k++)
+        for (int i = k; i < j->count; i += DESKS) {
+            normal *q;
+            descend(j->desk[k], &j->start[i], TAU_COARSE, TAU_MIDDLE, j->steps, j->stride, &q);
+        }
+}
+
 orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
                   const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out)
 {
@@ -311,6 +385,7 @@ orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const
     w->n = n;
     w->prior_weight = o.prior_weight;
     w->sigma = o.sigma;
+    w->threads = o.threads;
     for (int k = 0; k < N; k++)
         w->fixed[k] = (k < ORL_C_SHADOW && (o.frozen & 1)) || (k >= ORL_C_SHADOW && k < ORL_C_TONE && (o.frozen & 2)) || (k >= ORL_C_TONE && (o.frozen & 4)) || (k < ORL_C_SUN_RGB && (o.frozen & 8));
     descent from = { .cost = 0 }, best[2] = { { .cost = INFINITY }, { .cost = INFINITY } };
@@ -335,22 +410,29 @@ orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const
         static const float ELEVATION[2] = { 0.45f, 1.0f };
         size_t stride = n > COARSE_SAMPLES ? n / COARSE_SAMPLES : 1;
         int turn = !w->fixed[ORL_C_SUN_AZ];
-        for (int a = 0; a < (turn ? o.azimuths : 1); a++)
-            for (int e = 0; e < (turn ? 2 : 1); e++) {
-                descent d = from;
-                if (turn) {
-                    d.code[ORL_C_SUN_AZ] = wrap((float)a * (2 * PI / (float)o.azimuths));
-                    d.code[ORL_C_SUN_EL] = ELEVATION[e];
-                }
-                descend(w, &d, TAU_COARSE, TAU_MIDDLE, o.max_iterations < COARSE_STEPS ? o.max_iterations : COARSE_STEPS, stride, &q);
-                steps += d.steps;
-                if (d.status == ORL_ADAPT_DEGENERATE) continue;
-                int same = fabsf(wrap(d.code[0] - best[0].code[0])) < 0.3f;     /* the runner-up should stand elsewhere */
-                if (d.cost < best[0].cost) {
-                    if (!same) best[1] = best[0];
-                    best[0] = d;
-                } else if (!same && d.cost < best[1].cost) best[1] = d;
-            }
+        descent start[STARTS];
+        trying j = { { w }, start, turn ? 2 * o.azimuths : 1, o.max_iterations < COARSE_STEPS ? o.max_iterations : COARSE_STEPS, stride };
+        for (int k = 1; k < DESKS; k++) {
+            j.desk[k] = (state *)((char *)work + (size_t)k * room());
+            copy_task(j.desk[k], w);
+        }
+        for (int i = 0; i < j.count; i++) {
+            start[i] = from;
+            if (!turn) continue;
+            start[i].code[ORL_C_SUN_AZ] = wrap((float)(i / 2) * (2 * PI / (float)o.azimuths));
+            start[i].code[ORL_C_SUN_EL] = ELEVATION[i % 2];
+        }
+        orl_parallel(o.threads, DESKS, 1, try_starts, &j);
+        for (int i = 0; i < j.count; i++) {
+            const descent *d = &start[i];
+            steps += d->steps;
+            if (d->status == ORL_ADAPT_DEGENERATE) continue;
+            int same = fabsf(wrap(d->code[0] - best[0].code[0])) < 0.3f;        /* the runner-up should stand elsewhere */
+            if (d->cost < best[0].cost) {
+                if (!same) best[1] = best[0];
+                best[0] = *d;
+            } else if (!same && d->cost < best[1].cost) best[1] = *d;
+        }
         float tau = fmaxf(TAU_MIDDLE, tau_end);
         orl_adapt_result r[2];
         int found = 0;

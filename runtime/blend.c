@@ -159,10 +159,17 @@ static int masked(const orl_blend *b, const uint8_t *mask, int u, int v)
     return 0;
 }
 
-static void place(orl_blend *b, const orl_camera *photo, const orl_camera *wide, const double turn[9], const uint8_t *mask)
+typedef struct { orl_blend *b; const orl_camera *photo, *wide; const double *turn; const uint8_t *mask; } place_job;
+
+static void place(void *user, int begin, int end)
 {
+    const place_job *j = user;
+    orl_blend *b = j->b;
+    const orl_camera *photo = j->photo, *wide = j->wide;
+    const double *turn = j->turn;
+    const uint8_t *mask = j->mask;
     double feather = FEATHER * (b->pw < b->ph ? b->pw : b->ph);
-    for (int y = 0; y < b->h; y++) {
+    for (int y = begin; y < end; y++) {
         b->x0[y] = b->w;
         for (int x = 0; x < b->w; x++) {
             size_t i = (size_t)y * (size_t)b->w + (size_t)x;
@@ -211,7 +218,7 @@ static void set_fade(orl_blend *b, const orl_camera *photo, const orl_camera *wi
 }
 
 orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, const orl_camera *wide, const orl_pose *wide_pose,
-                       const uint8_t *cov, size_t cov_stride, const uint8_t *mask, void *block, size_t bytes, orl_blend **out)
+                       const uint8_t *mask, int threads, void *block, size_t bytes, orl_blend **out)
 {
     double a[3], c[3], turn[9], gap = 0, size = 0;
     if (bytes < orl_blend_need(wide->w, wide->h)) return orl_fail(ORL_E_MEMORY, "blend: the block is too small");
@@ -238,11 +245,15 @@ orl_err orl_blend_init(const orl_camera *photo, const orl_pose *photo_pose, cons
     if (b->box_x > b->pw * 256) b->box_x = b->pw * 256;
     if (b->box_y > b->ph * 256) b->box_y = b->ph * 256;
     warp_shares(b);
-    for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
-    place(b, photo, wide, turn, mask);
+    orl_parallel(threads, b->h, 16, place, &(place_job){ b, photo, wide, turn, mask });
     set_fade(b, photo, wide, turn);
     *out = b;
     return ORL_OK;
+}
+
+void orl_blend_layers(orl_blend *b, const uint8_t *cov, size_t cov_stride)
+{
+    for (int y = 0; y < b->h; y++) memcpy(b->layer + (size_t)y * (size_t)b->w, cov + (size_t)y * cov_stride, (size_t)b->w);
 }
 
 void orl_blend_covered(const orl_blend *b, int y, int *x0, int *x1) { *x0 = b->in0[y]; *x1 = b->in1[y]; }

@@ -6,6 +6,7 @@
 #include <sys/resource.h>
 #include "oriel/cpu.h"
 #include "oriel/light.h"
+#include "oriel/parallel.h"
 #include "oriel/source.h"
 #include "runtime/baked.h"
 #include "runtime/commands.h"
@@ -14,13 +15,14 @@
 
 static const char HELP[] =
     "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --convert | --mlp) [OPTION]...\n"
-    "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a camera loop. One thread; best of several runs; ratios are taken in one run.\n\n"
+    "Run time against error: views, kernels beside memcpy of the bytes that they move, and the stages of a new pose and of a camera loop. One thread, a new pose also on all cores; best of several runs; ratios\n"
+    "are taken in one run.\n\n"
     "  --scene FILE     scene file made by oriel-train\n"
     "  --pose FILE      the camera; a second line, where there is one, is the wide view\n"
     "  --view FILE      instead of both: baked views; nothing is marched\n"
     "  --convert        alone: conversion of every camera format to RGB, on made-up pictures\n"
     "  --mlp            alone: the int8 network beside the machine's peak and, where it is built in, XNNPACK\n"
-    "  --source SOURCE  as of run: also the stages of `oriel run` on these pictures\n"
+    "  --source SOURCE  as of run: also the stages of a new pose's first picture and of `oriel run` on these pictures\n"
     "  --frames N       of them; all\n"
     "  --widen F        field of view, times the camera's; 1.8 if the pose file has no second line\n"
     "  --size WxH       size of the wide picture\n"
@@ -181,6 +183,32 @@ static orl_err march(const options *o, const orl_scene *s, const orl_view_pose *
     return e;
 }
 
+/* A pose never seen, from the first picture of a clip. */
+static orl_err new_pose(const options *o, const orl_scene *s, const orl_view_pose *from, const orl_view_pose *to)
+{
+    orl_source *source;
+    orl_frame f;
+    orl_err e = orl_source_open(o->source, &source);
+    if (e) return e;
+    uint8_t *photo = malloc((size_t)source->info.w * (size_t)source->info.h * 3);
+    if (!photo || orl_source_next(source, &f) != 1) e = photo ? orl_fail(ORL_E_FORMAT, "%s: no picture", o->source) : orl_fail(ORL_E_MEMORY, "no memory for a picture");
+    if (!e) orl_frame_to_rgb(&source->info, &f, orl_cpu_detect(), 0, source->info.h, photo, (size_t)source->info.w * 3);
+    for (int n = 1; !e && n; n = n == 1 && orl_cores() > 1 ? orl_cores() : 0) {
+        char threads[24];
+        orl_pose_seconds t;
+        if ((e = orl_bench_pose(s, from, to, photo, n, &t))) break;
+        snprintf(threads, sizeof threads, "%d %s", n, n == 1 ? "thread" : "threads");
+        say(o, &(row){ "new pose: views", threads, t.views, NAN, 0 });
+        say(o, &(row){ "new pose: light", threads, t.light, NAN, 0 });
+        say(o, &(row){ "new pose: sun", threads, t.sun, NAN, 0 });
+        say(o, &(row){ "new pose: picture", threads, t.picture, NAN, 0 });
+        say(o, &(row){ "new pose: first picture", threads, t.all, NAN, 0 });
+    }
+    free(photo);
+    orl_source_close(source);
+    return e;
+}
+
 /* ---- the camera loop */
 
 enum { CONVERT, COLD, WARM, RENDER, STAGES };
@@ -237,9 +265,10 @@ static orl_err bench(const options *o)
     int width = source ? source->info.w : 0, height = source ? source->info.h : 0;
     if (!e) e = o->baked ? orl_baked_cameras(&baked, o->source, width, height, &from, &to) : orl_views_find(&o->view, o->source ? o->source : o->view.pose, width, height, &from, &to);
     if (!e && !o->baked) e = march(o, &scene, &to);
+    if (!e && !o->baked && source) e = new_pose(o, &scene, &from, &to);
     if (!e) {
         orl_widen_config c = { .scene = o->baked ? &baked.scene : &scene, .baked = o->baked ? baked.view : NULL, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose,
-                               .blend = 1, .threads = 1, .cpu = orl_cpu_detect() };
+                               .blend = 1, .no_skip = 1, .threads = 1, .cpu = orl_cpu_detect() };
         need = orl_widen_need(&c);
         block = orl_widen_block(need);
         e = block ? orl_widen_init(&c, block, need, &w) : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to.cam.w, to.cam.h);
@@ -250,6 +279,7 @@ static orl_err bench(const options *o)
         e = photo ? kernels(o, &w.wide, light, w.blend, photo, 3 * (size_t)from.cam.w * (size_t)from.cam.h) : orl_fail(ORL_E_MEMORY, "no memory");
         free(photo);
     }
+    w.config.no_skip = 0;                           /* kernels on the whole view, pictures as `oriel run` makes them */
     if (!e && source) e = loop(o, &w, source);
     if (!e) {
         struct rusage u;

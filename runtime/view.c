@@ -1,4 +1,4 @@
-/* The view: marches every pixel into planes (bit-identical for any thread count: a row is one thread's alone), turns a light into tables, and runs the re-lighting kernels over rows. */
+/* The view: marches pixels into planes (bit-identical for any thread count: a tile is one thread's alone), turns a light into tables, and runs the re-lighting kernels over rows. */
 #include "oriel/view.h"
 #include <math.h>
 #include <string.h>
@@ -76,7 +76,11 @@ static uint8_t albedo_byte(uint32_t q16)
 
 /* ---- building */
 
-typedef struct { const orl_scene *s; orl_view *v; int ss; double origin[3]; } build_job;
+enum { TILE = 15, FINE = 8, TILE_RAYS = 256 };       /* pixels a side whose rays set out together; FINE: where each pixel has four of its own */
+_Static_assert((TILE + 1) * (TILE + 1) <= (int)TILE_RAYS && 4 * FINE * FINE <= (int)TILE_RAYS && (int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
+#define COARSE_PIXEL 1.0             /* cells */
+
+typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
 
 /* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
@@ -101,12 +105,12 @@ static void ground_hit(const orl_scene *s, const double o[3], const double d[3],
     }
     const uint8_t *c = s->ground_albedo + 3 * (at[1] * ORL_GROUND_SIDE + at[0]), *next = c + 3 * ORL_GROUND_SIDE;
     memset(h, 0, sizeof *h);
+    h->brick = -1;
     h->grad[2] = 1;
     for (int k = 0; k < 3; k++) {
         uint32_t a = (256 - w[0]) * (uint32_t)(c[k] * c[k]) + w[0] * (uint32_t)(c[k + 3] * c[k + 3]), b = (256 - w[0]) * (uint32_t)(next[k] * next[k]) + w[0] * (uint32_t)(next[k + 3] * next[k + 3]);
         h->albedo[k] = (uint32_t)(((uint64_t)((256 - w[1]) * a + w[1] * b) * 65535 + 65025 * 32768u) / (65025ull * 65536));
     }
-    h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
 }
 
@@ -124,30 +128,24 @@ static int backdrop_meet(const orl_scene *s, const double o[3], const double d[3
     }
     if ((int)(8 * ((rgba[3] + 128) >> 8)) < 255 * opaque) return 0;
     memset(h, 0, sizeof *h);
+    h->brick = -1;
     float n[3];
     orl_backdrop_normal(uv[0], n);
     for (int a = 0; a < 3; a++) h->grad[a] = (n[a] > 0) - (n[a] < 0);
     for (int k = 0; k < 3; k++) h->albedo[k] = (uint32_t)(((uint64_t)rgba[k] * 65535 + 65025 * 128u) / (65025u * 256));
-    h->lite[0] = 255 << 16;
     h->t = (int64_t)(t * 65536 + 0.5);
     return 1;
 }
 
 static int beside_box(const orl_scene *s, const double x[3]) { return x[0] < 0 || x[1] < 0 || x[0] > 8.0 * s->nb[0] || x[1] > 8.0 * s->nb[1]; }
 
-/* The surface, or the ground where the ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface.
- * Where no surface is met, the backdrop stands before the ground behind it. */
-static int meet(const orl_scene *s, const double o[3], const double d[3], int opaque, orl_hit *h)
+/* The surface, or the ground where a ray meets no surface, a low cut, or the ground beside the box first. Higher cuts are passed through: nobody knows what stands there. Without ground, a cut is a surface.
+ * Where no surface is met, the backdrop stands before the ground behind it. met: *h holds the surface or cut that was met. */
+static int settle_ray(const orl_scene *s, const double o[3], const double d[3], int met, int opaque, orl_hit *h)
 {
-    double t = 0, from[3] = { o[0], o[1], o[2] };
-    int64_t gone = 0;
-    if (!s->ground_albedo) return orl_march(s, o, d, h);
-    int met = 0, falls = ground_meet(s, o, d, &t);
-    for (int k = 0; !met && k < ORL_CUTS && orl_march(s, from, d, h); k++) {
-        h->t = gone += h->t;
-        for (int a = 0; a < 3; a++) from[a] = o[a] + (double)gone / 65536 * d[a];
-        met = !h->cut || over_ground(s, from) <= ORL_GROUND_CUT * 8 * s->nb[0];
-    }
+    double t = 0;
+    if (!s->ground_albedo) return met;
+    int falls = ground_meet(s, o, d, &t);
     if (!met && !falls) return backdrop_meet(s, o, d, opaque, 1e12, h);
     if (met) {
         double hit = (double)h->t / 65536, down[3] = { o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2] };
@@ -159,52 +157,211 @@ static int meet(const orl_scene *s, const double o[3], const double d[3], int op
     return 1;
 }
 
-/* Mean of the rays that hit; coverage is their share. The rays of a pixel ask for more and more opaque a backdrop. */
-static void build_pixel(const build_job *j, int x, int y)
+typedef struct {
+    double d[TILE_RAYS][3];    /* 0: the lens has none */
+    orl_hit hit[TILE_RAYS];
+    float n[TILE_RAYS][3];
+    int wanted[TILE_RAYS], met[TILE_RAYS], open[TILE_RAYS], count;      /* open: rays under way */
+    orl_march march;
+} tile;
+
+/* Marches a tile's rays up to a surface or a low cut; without ground, any cut. */
+static void march_tile(const build_job *j, tile *l, double freely)
 {
-    orl_view *v = j->v;
-    orl_hit h;
-    int hits = 0, rays = j->ss * j->ss;
-    int64_t t = 0;
-    double n[3] = { 0 };
-    uint32_t albedo[3] = { 0 }, lite[ORL_LITE_BYTES] = { 0 };
-    int32_t phi[ORL_SHADOW_DIM] = { 0 };
-    for (int k = 0; k < rays; k++) {
-        double d[3];
-        if (!pixel_dir(v, x + (k % j->ss + 0.5) / j->ss, y + (k / j->ss + 0.5) / j->ss, d) || !meet(j->s, j->origin, d, rays > 1 ? 2 * k + 1 : 4, &h)) continue;
-        double g[3] = { h.grad[0], h.grad[1], h.grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
-        if (len > 0) {
-            float facing[3] = { (float)(g[0] / len), (float)(g[1] / len), (float)(g[2] / len) };
-            orl_facing_turn(&j->s->facings, facing);
-            for (int a = 0; a < 3; a++) n[a] += facing[a];
+    const orl_scene *s = j->s;
+    int n = 0;
+    for (int i = 0; i < l->count; i++) {
+        l->met[i] = 0;
+        l->hit[i].t = 0;
+        if (l->wanted[i]) l->open[n++] = i;
+    }
+    if (freely >= 1e12) n = 0;
+    for (int cuts = 0; n && cuts < (s->ground_albedo ? ORL_CUTS : 1); cuts++) {
+        int left = 0;
+        l->march.n = 0;
+        for (int k = 0; k < n; k++) {
+            int i = l->open[k];
+            double o[3];
+            for (int a = 0; a < 3; a++) o[a] = j->origin[a] + (double)l->hit[i].t / 65536 * l->d[i][a];
+            orl_march_begin(s, o, l->d[i], cuts ? 0 : freely, &l->march);
         }
-        for (int c = 0; c < 3; c++) albedo[c] += h.albedo[c];
-        for (int c = 0; c < ORL_LITE_BYTES; c++) lite[c] += h.lite[c];
-        for (int c = 0; c < ORL_SHADOW_DIM; c++) phi[c] += h.phi[c];
-        t += h.t;
-        hits++;
+        orl_march_run(s, 1, &l->march);
+        for (int k = 0; k < n; k++) {
+            int i = l->open[k];
+            orl_hit *h = &l->hit[i];
+            int64_t gone = h->t;
+            if (!orl_march_hit(s, &l->march, k, h)) continue;
+            h->t += gone;
+            double x[3];
+            for (int a = 0; a < 3; a++) x[a] = j->origin[a] + (double)h->t / 65536 * l->d[i][a];
+            l->met[i] = !s->ground_albedo || !h->cut || over_ground(s, x) <= ORL_GROUND_CUT * 8 * s->nb[0];
+            if (!l->met[i]) l->open[left++] = i;
+        }
+        n = left;
     }
-    if (!hits) return;
-    size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-    uint32_t m = (uint32_t)hits, half = m << 15;
-    double len = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
-    for (int a = 0; a < 3 && len > 0; a++) v->normal[a][at] = (int8_t)(n[a] < 0 ? 127 * n[a] / len - 0.5 : 127 * n[a] / len + 0.5);
-    for (int c = 0; c < 3; c++) v->albedo[c][at] = albedo_byte((albedo[c] + m / 2) / m);
-    v->open[at] = (uint8_t)((lite[0] + half) / (m << 16));
-    v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
-    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((lite[1 + i] + half) / (m << 16));
-    for (int k = 0; k < ORL_SHADOW_DIM; k++) {      /* rounded half away from zero */
-        int32_t p = phi[k], r = (int32_t)half, den = (int32_t)(m << 16);
-        *phi_of(v, at, k) = (int8_t)((p < 0 ? p - r : p + r) / den);
-    }
-    int64_t depth = (t / hits + (1 << 11)) >> 12;
+}
+
+typedef struct { uint32_t albedo[3]; int32_t lite[ORL_LITE_BYTES], phi[ORL_SHADOW_DIM]; int64_t t; } sums;
+
+static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t at, const sums *s, int m)
+{
+    const int32_t one = m << 8, half = m << 7;
+    for (int c = 0; c < 3; c++) v->albedo[c][at] = albedo_byte((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
+    v->open[at] = (uint8_t)((s->lite[0] + half) / one);
+    for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((uint32_t)(s->lite[1 + i] + half) / (uint32_t)one);
+    for (int k = 0; k < ORL_SHADOW_DIM; k++) *phi_of(v, at, k) = (int8_t)((s->phi[k] < 0 ? s->phi[k] - half : s->phi[k] + half) / one);     /* half away from zero */
+    int64_t depth = (s->t / m + (1 << 11)) >> 12;
     v->depth[at] = (uint16_t)(depth > 65534 ? 65534 : depth);
 }
 
-static void build_rows(void *user, int begin, int end)
+/* What a ray met: its unit normal, turned, in n; (0, 0, 0) where the SDF is flat. */
+static int see(const build_job *j, tile *l, int i, int opaque)
+{
+    const double *d = l->d[i];
+    orl_hit *h = &l->hit[i];
+    memset(l->n[i], 0, sizeof l->n[i]);
+    if (!l->wanted[i] || !settle_ray(j->s, j->origin, d, l->met[i], opaque, h)) return 0;
+    if (h->brick >= 0) orl_march_surface(j->s, h);
+    double g[3] = { h->grad[0], h->grad[1], h->grad[2] }, len = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
+    if (!(len > 0)) return 1;
+    for (int a = 0; a < 3; a++) l->n[i][a] = (float)(g[a] / len);
+    orl_facing_turn(&j->s->facings, l->n[i]);
+    return 1;
+}
+
+/* Mean of the rays that hit; coverage is their share. Light changes slowly: rays that hit one brick take the light of the middle of their hits. of: the pixel's rays. */
+static void build_pixel(const build_job *j, int x, int y, const tile *l, const int *of)
+{
+    orl_view *v = j->v;
+    int hits = 0, rays = j->ss * j->ss, alike[4] = { 0 };
+    double n[3] = { 0 };
+    sums sum = { 0 };
+    const orl_hit *hit[4];
+    for (int k = 0; k < rays; k++) {
+        if (!l->met[of[k]]) continue;
+        const orl_hit *h = hit[hits++] = &l->hit[of[k]];
+        for (int a = 0; a < 3; a++) n[a] += l->n[of[k]][a];
+        for (int c = 0; c < 3; c++) sum.albedo[c] += h->albedo[c];
+        sum.t += h->t;
+    }
+    for (int k = 0; k < hits; k++) {
+        int32_t at[3] = { 0 };
+        uint16_t lit[ORL_LITE_BYTES];
+        int16_t dark[ORL_SHADOW_DIM];
+        int same = 0;
+        if (alike[k]) continue;
+        for (int i = k; i < hits; i++) {
+            if (hit[i]->brick != hit[k]->brick) continue;
+            for (int a = 0; a < 3; a++) at[a] += hit[i]->at[a];         /* below 2^24 each */
+            alike[i] = 1;
+            same++;
+        }
+        for (int a = 0; a < 3; a++) at[a] = same == 4 ? at[a] / 4 : at[a] / same;      /* mostly four, and a shift */
+        orl_march_light(j->s, hit[k]->brick, at, lit, dark);
+        for (int c = 0; c < ORL_LITE_BYTES; c++) sum.lite[c] += same * lit[c];
+        for (int c = 0; c < ORL_SHADOW_DIM; c++) sum.phi[c] += same * dark[c];
+    }
+    if (!hits) return;
+    size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+    double len = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    for (int a = 0; a < 3 && len > 0; a++) v->normal[a][at] = (int8_t)(n[a] < 0 ? 127 * n[a] / len - 0.5 : 127 * n[a] / len + 0.5);
+    v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
+    switch (hits) {         /* constant divisors */
+    case 1: put_means(v, at, &sum, 1); break;
+    case 2: put_means(v, at, &sum, 2); break;
+    case 3: put_means(v, at, &sum, 3); break;
+    case 4: put_means(v, at, &sum, 4); break;
+    }
+}
+
+/* How rays run: n of a pixel's side, the first one at `off` from its corner, and one more at the end of a row and of rows of pixels if `more`. */
+typedef struct { int n, more; double off; } pattern;
+static const pattern MIDDLES = { 1, 0, 0.5 }, CORNERS = { 1, 1, 0 }, FOURS = { 2, 0, 0.5 };
+
+/* The tile's rays and the ball that holds them, those of pixels that are not wanted, too, which makes no pixel depend on what else is wanted: its middle's direction and its radius at distance 1.
+ * 0: no pixel is wanted, or rays run all round, as no camera's do. */
+static int aim(const build_job *j, int x0, int y0, int w, int h, const pattern *p, tile *l, double middle[3], double *spread)
+{
+    const orl_view *v = j->v;
+    const int cols = w * p->n + p->more, side = p->n == 2 || p->more ? 2 : 1;
+    double len = 0, most = 0;
+    l->count = cols * (h * p->n + p->more);
+    int any = 0;
+    memset(l->wanted, 0, sizeof l->wanted);
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int wanted = !j->wanted || j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)];
+            for (int k = 0; k < side * side; k++) l->wanted[(y * p->n + k / side) * cols + x * p->n + k % side] |= wanted;
+            any |= wanted;
+        }
+    if (!any) return 0;
+    for (int a = 0; a < 3; a++) middle[a] = 0;
+    for (int i = 0; i < l->count; i++) {
+        double *d = l->d[i];
+        if (!pixel_dir(v, x0 + (i % cols + p->off) / p->n, y0 + (i / cols + p->off) / p->n, d)) d[0] = d[1] = d[2] = l->wanted[i] = 0;
+        for (int a = 0; a < 3; a++) middle[a] += d[a];
+    }
+    for (int a = 0; a < 3; a++) len += middle[a] * middle[a];
+    if (!(len > 0)) return 0;
+    len = 1 / sqrt(len);
+    for (int a = 0; a < 3; a++) middle[a] *= len;
+    for (int i = 0; i < l->count; i++) {
+        const double *d = l->d[i];
+        double q = (d[0] - middle[0]) * (d[0] - middle[0]) + (d[1] - middle[1]) * (d[1] - middle[1]) + (d[2] - middle[2]) * (d[2] - middle[2]);
+        if (q > most && (d[0] != 0 || d[1] != 0 || d[2] != 0)) most = q;
+    }
+    *spread = sqrt(most);
+    return 1;
+}
+
+/* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. One ray a pixel runs through its middle; four run through its corners, and neighbours
+ * share them, unless a pixel is wider than COARSE_PIXEL where the ball ends: then more is to be seen in it, and it has four rays of its own. */
+static void build_tile(const build_job *j, int x0, int y0, int w, int h, const pattern *p)
+{
+    const orl_view *v = j->v;
+    double middle[3], spread;
+    tile l;
+    if (!aim(j, x0, y0, w, h, p, &l, middle, &spread)) return;
+    double freely = orl_march_freely(j->s, j->origin, middle, spread);
+    if (p == &CORNERS && freely < 1e12 && 2 * spread * freely > COARSE_PIXEL * sqrt((double)(w * w + h * h))) {
+        for (int k = 0; k < 4; k++) {
+            int x = k & 1 ? FINE : 0, y = k & 2 ? FINE : 0;
+            if (x < w && y < h) build_tile(j, x0 + x, y0 + y, w - x < FINE ? w - x : FINE, h - y < FINE ? h - y : FINE, &FOURS);
+        }
+        return;
+    }
+    march_tile(j, &l, freely);
+    const int cols = w * p->n + p->more, X = x0 * p->n, Y = y0 * p->n;
+    for (int i = 0; i < l.count; i++) l.met[i] = see(j, &l, i, p == &MIDDLES ? 4 : 2 * ((X + i % cols) % 2 + 2 * ((Y + i / cols) % 2)) + 1);     /* so that the rays of a pixel ask for more and more opaque a backdrop */
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            int at = y * p->n * cols + x * p->n, of[4] = { at, at + 1, at + cols, at + cols + 1 };
+            if (!j->wanted || j->wanted[(size_t)(y0 + y) * (size_t)v->w + (size_t)(x0 + x)]) build_pixel(j, x0 + x, y0 + y, &l, of);
+        }
+}
+
+static void build_tiles(void *user, int begin, int end)
 {
     const build_job *j = user;
-    for (int y = begin; y < end; y++) for (int x = 0; x < j->v->w; x++) build_pixel(j, x, y);
+    for (int i = begin; i < end; i++) {
+        int x = i % j->across * TILE, y = i / j->across * TILE;
+        build_tile(j, x, y, j->v->w - x < TILE ? j->v->w - x : TILE, j->v->h - y < TILE ? j->v->h - y : TILE, j->ss == 1 ? &MIDDLES : &CORNERS);
+    }
+}
+
+/* Sky: everything 0, lit, no depth. */
+static void clear_rows(void *user, int begin, int end)
+{
+    const orl_view *v = user;
+    size_t at = (size_t)begin * (size_t)v->stride, n = (size_t)(end - begin) * (size_t)v->stride;
+    for (int c = 0; c < 3; c++) memset(v->normal[c] + at, 0, n);
+    for (int c = 0; c < 3; c++) memset(v->albedo[c] + at, 0, n);
+    memset(v->open + at, 0, n);
+    memset(v->cov + at, 0, n);
+    for (size_t i = 0; i < ORL_HORIZON; i++) memset(v->horizon + i * plane_size(v) + at, 0, n);
+    for (int g = 0; g < 2; g++) memset(v->phi[g] + at * ORL_PHI_GROUP, 0, n * ORL_PHI_GROUP);
+    memset(v->fix + at, 0, n);
+    memset(v->depth + at, 255, n * sizeof *v->depth);
 }
 
 static void build_sky(orl_view *v)
@@ -246,6 +403,11 @@ static int all_finite(const double *v, int n) { for (int i = 0; i < n; i++) if (
 
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out)
 {
+    return orl_view_build_some(s, cam, pose, supersample, NULL, threads, block, bytes, out);
+}
+
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out)
+{
     const double lens[] = { cam->fx, cam->fy, cam->cx, cam->cy, cam->k1, cam->k2, cam->p1, cam->p2 }, *R = pose->R, *m = s->world_to_grid;
     if (!s->bmap) return orl_fail(ORL_E_DEGENERATE, "view: the scene has no geometry (a sky file?)");
     if (cam->w < 1 || cam->h < 1 || cam->w > 65535 || cam->h > 65535) return orl_fail(ORL_E_RANGE, "view: size %d x %d", cam->w, cam->h);
@@ -256,7 +418,7 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
     orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
-    build_job j = { s, &v, supersample, { 0 } };
+    build_job j = { s, &v, wanted, supersample, (cam->w + TILE - 1) / TILE, { 0 } };
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
     orl_pose_centre(pose, centre);
@@ -265,12 +427,10 @@ orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose
         v.eye[a] = j.origin[a];
         for (int c = 0; c < 3; c++) v.grid_from_cam[3 * a + c] = (m[4 * a] * R[3 * c] + m[4 * a + 1] * R[3 * c + 1] + m[4 * a + 2] * R[3 * c + 2]) / scale;
     }
-    size_t n = (size_t)v.stride * (size_t)v.h;
-    memset(block, 0, (size_t)((uint8_t *)v.sky - (uint8_t *)block));    /* sky: everything 0, lit, no depth */
-    memset(v.depth, 255, n * sizeof *v.depth);
+    orl_parallel(threads, v.h, 4 * GRAIN, clear_rows, &v);
     if (s->shadow) memcpy(v.phi_scale, s->shadow_scale, sizeof v.phi_scale);
     build_sky(&v);
-    orl_parallel(threads, v.h, GRAIN, build_rows, &j);
+    orl_parallel(threads, j.across * ((v.h + TILE - 1) / TILE), GRAIN, build_tiles, &j);
     *out = v;
     return ORL_OK;
 }
@@ -482,29 +642,94 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
     return 1;
 }
 
-static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const orl_light *l)
-{
-    const float *n = p->normal, *s = l->sun_dir;
-    double o[3], sun[3] = { s[0], s[1], s[2] };
-    orl_hit h;
-    if (!(n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0) || !lifted(v, x, y, n, o)) return 0;
-    return !orl_march(v->scene, o, sun, &h);
-}
-
 typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis; uint8_t *ceiling; orl_kernels k; } trace_job;
 
-static void trace_row(const trace_job *j, int y)
+static int faces_sun(const trace_job *j, size_t at, float n[3])
 {
-    orl_view *v = j->v;
-    const orl_light *l = j->l;
-    for (int x = 0; x < v->w; x++) {
-        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
-        orl_sample p;
-        v->fix[at] = 0;
-        if (!v->cov[at] || !v->scene->lite || !(l->sun_dir[2] > 0)) continue;     /* a scene without horizons takes the sun as unhidden */
-        orl_view_sample(v, x, y, &p);
-        v->fix[at] = (int8_t)rounded(127 * ((float)sunlit(v, x, y, &p, l) - orl_light_sun_visibility(l, &p)));
+    const float *s = j->l->sun_dir;
+    float len = 0;
+    for (int a = 0; a < 3; a++) {
+        n[a] = (float)j->v->normal[a][at];
+        len += n[a] * n[a];
     }
+    len = len > 0 ? 1 / sqrtf(len) : 0;
+    for (int a = 0; a < 3; a++) n[a] = len > 0 ? n[a] * len : a == 2;
+    return n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0;
+}
+
+enum { NOTHING, SEEN, HIDDEN, AWAY };   /* the sun, of a pixel: no surface, no ray that hits, one that does, a surface that looks away */
+typedef struct { orl_march m; int8_t *to[ORL_RAYS]; } questions;
+
+static void answer(const trace_job *j, questions *q)
+{
+    orl_march_run(j->v->scene, 0, &q->m);
+    for (int k = 0; k < q->m.n; k++) *q->to[k] = q->m.rays.t[k] < 0 ? SEEN : HIDDEN;
+    q->m.n = 0;
+}
+
+static void ask(const trace_job *j, int x, int y, int8_t *to, questions *q)
+{
+    const orl_view *v = j->v;
+    const float *s = j->l->sun_dir;
+    size_t here = (size_t)y * (size_t)v->stride + (size_t)x;
+    float n[3];
+    double o[3];
+    *to = NOTHING;
+    if (!v->cov[here]) return;
+    *to = AWAY;
+    if (!faces_sun(j, here, n) || !lifted(v, x, y, n, o)) return;
+    if (q->m.n == ORL_RAYS) answer(j, q);
+    q->to[q->m.n] = to;
+    orl_march_begin(v->scene, o, (const double[3]){ s[0], s[1], s[2] }, 0, &q->m);
+}
+
+static void ask_row(const trace_job *j, int y, int8_t *row, questions *q)
+{
+    for (int x = 0; x < j->v->w; x += 2) ask(j, x, y, &row[x / 2], q);
+    answer(j, q);
+}
+
+/* Rows [begin, end): of every other pixel of every other row a ray goes to the sun. Between them a pixel that looks at the sun believes what its two or four neighbours all say, or asks for itself. */
+static void trace_band(const trace_job *j, int begin, int end)
+{
+    enum { HALF = 32768 };
+    orl_view *v = j->v;
+    int8_t rows[2][HALF + 1], *up = rows[0], *down = rows[1];
+    questions q;
+    q.m.n = 0;
+    memset(v->fix + (size_t)begin * (size_t)v->stride, 0, (size_t)(end - begin) * (size_t)v->stride);
+    if (!v->scene->lite || !(j->l->sun_dir[2] > 0)) return;         /* a scene without horizons takes the sun as unhidden */
+    ask_row(j, begin & ~1, down, &q);
+    for (int y = begin; y < end; y++) {
+        int8_t *fix = v->fix + (size_t)y * (size_t)v->stride, *was = up;
+        if (!(y & 1) || y == begin) {
+            up = down;
+            down = was;
+        }
+        if (y & 1 && y + 1 < v->h) ask_row(j, y + 1, down, &q);
+        const int8_t *below = y & 1 && y + 1 < v->h ? down : up;
+        for (int x = 0; x < v->w; x++) {
+            float n[3];
+            int i = x / 2, k = x & 1 && x + 1 < v->w ? i + 1 : i;
+            if (!(x & 1) && !(y & 1)) fix[x] = up[i];
+            else if (!v->cov[(size_t)y * (size_t)v->stride + (size_t)x]) fix[x] = NOTHING;
+            else if (!faces_sun(j, (size_t)y * (size_t)v->stride + (size_t)x, n)) fix[x] = AWAY;
+            else if ((up[i] == SEEN || up[i] == HIDDEN) && up[k] == up[i] && below[i] == up[i] && below[k] == up[i]) fix[x] = up[i];
+            else ask(j, x, y, &fix[x], &q);
+        }
+        answer(j, &q);
+    }
+    for (int y = begin; y < end; y++)
+        for (int x = 0; x < v->stride; x += CHUNK) {
+            int16_t over[CHUNK];
+            size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
+            int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
+            vis_of(&j->k, v, &j->vis, 0, from, n, over);
+            for (int i = 0; i < n; i++) {
+                int8_t *f = &v->fix[from + (size_t)i];
+                *f = (int8_t)(*f == NOTHING ? 0 : *f == SEEN ? (32767 - over[i] + 129) / 258 : -((over[i] + 129) / 258));
+            }
+        }
 }
 
 /* What a ceiling takes of a baked pixel's sun. */
@@ -526,7 +751,8 @@ static void look_up_row(const trace_job *j, int y)
 static void trace_rows(void *user, int begin, int end)
 {
     const trace_job *j = user;
-    for (int y = j->y0 + begin; y < j->y0 + end; y++) (j->v->ceiling ? look_up_row : trace_row)(j, y);
+    if (!j->v->ceiling) trace_band(j, j->y0 + begin, j->y0 + end);
+    else for (int y = j->y0 + begin; y < j->y0 + end; y++) look_up_row(j, y);
 }
 
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads)
@@ -534,55 +760,75 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
     trace_job j = { .v = v, .l = l, .y0 = y0 };
     orl_kernels_init(&j.k, cpu);
     make_vis(&j.vis, l);
-    orl_parallel(threads, y1 - y0, GRAIN, trace_rows, &j);
+    orl_parallel(threads, y1 - y0, 4 * GRAIN, trace_rows, &j);
 }
 
 /* ---- baking */
 
 enum { LOOKS = 18, HALVINGS = 3 };      /* elevations looked at in an azimuth, 5 degrees apart; then each end of the gap is halved so often */
 
-static int open_at(const orl_view *v, const double o[3], float az, float el)
+#define QUARTER_TURN 1.57079633f
+
+static float azimuth_of(int i) { return (float)i * (4 * QUARTER_TURN / ORL_HORIZON); }
+
+static void look_at(const orl_view *v, const double o[3], float az, float el, orl_march *m)
 {
     const double d[3] = { orl_cosf(el) * orl_cosf(az), orl_cosf(el) * orl_sinf(az), orl_sinf(el) };
-    orl_hit h;
-    return !orl_march(v->scene, o, d, &h);
+    orl_march_begin(v->scene, o, d, 0, m);
 }
 
-/* Elevation between shut and open at which the one becomes the other. */
-static float edge(const orl_view *v, const double o[3], float az, float shut, float open)
+/* A pixel's azimuths: at which elevations the sky is open (1), shut (0), or the surface looks away (-1). */
+static void look_around(const orl_view *v, const double o[3], const float n[3], int open[ORL_HORIZON][LOOKS])
 {
-    for (int k = 0; k < HALVINGS; k++) {
-        float mid = 0.5f * (shut + open);
-        if (open_at(v, o, az, mid)) open = mid;
-        else shut = mid;
+    enum { AT_ONCE = ORL_RAYS / LOOKS };
+    orl_march m;
+    for (int first = 0; first < ORL_HORIZON; first += AT_ONCE) {
+        int *of[ORL_RAYS];
+        m.n = 0;
+        for (int i = first; i < first + AT_ONCE && i < ORL_HORIZON; i++) {
+            float az = azimuth_of(i), ahead = n[0] * orl_cosf(az) + n[1] * orl_sinf(az);
+            for (int k = 0; k < LOOKS; k++) {
+                float el = ((float)k + 0.5f) * (QUARTER_TURN / LOOKS);
+                open[i][k] = -1;
+                if (!(orl_cosf(el) * ahead + orl_sinf(el) * n[2] > 0.02f)) continue;
+                of[m.n] = &open[i][k];
+                look_at(v, o, az, el, &m);
+            }
+        }
+        orl_march_run(v->scene, 0, &m);
+        for (int k = 0; k < m.n; k++) *of[k] = m.rays.t[k] < 0;
     }
-    return 0.5f * (shut + open);
 }
 
-/* The widest gap of one azimuth in bytes of a quarter turn. 0: the surface looks away from all of it, and it does not matter. */
-static int gap_of(const orl_view *v, const double o[3], const float n[3], int azimuth, uint8_t *horizon, uint8_t *ceiling)
+/* The widest gap of an azimuth: its first look and how many. 0: the surface looks away from all of it. */
+static int gap_of(int open[LOOKS], int *first, int *looks)
 {
-    const float quarter = 1.57079633f, step = quarter / LOOKS, az = (float)azimuth * (4 * quarter / ORL_HORIZON), ahead = n[0] * orl_cosf(az) + n[1] * orl_sinf(az);
-    int open[LOOKS], best = 0, first = 0, known = 0;
-    for (int k = 0; k < LOOKS; k++) {
-        float el = ((float)k + 0.5f) * step;
-        int faces = orl_cosf(el) * ahead + orl_sinf(el) * n[2] > 0.02f;
-        open[k] = faces ? open_at(v, o, az, el) : -1;
-        known |= faces;
-    }
+    int known = 0;
+    *first = *looks = 0;
+    for (int k = 0; k < LOOKS; k++) known |= open[k] >= 0;
     if (!known) return 0;
     for (int k = 1; k < LOOKS; k++) if (open[k] < 0) open[k] = open[k - 1];         /* where the surface looks away, as next to it */
     for (int k = LOOKS - 2; k >= 0; k--) if (open[k] < 0) open[k] = open[k + 1];
     for (int k = 0, from = 0; k <= LOOKS; k++) {
         if (k < LOOKS && open[k]) continue;
-        if (k - from > best) { best = k - from; first = from; }
+        if (k - from > *looks) { *looks = k - from; *first = from; }
         from = k + 1;
     }
-    float lo = first ? edge(v, o, az, ((float)first - 0.5f) * step, ((float)first + 0.5f) * step) : 0;
-    float hi = first + best < LOOKS ? edge(v, o, az, ((float)(first + best) + 0.5f) * step, ((float)(first + best) - 0.5f) * step) : quarter;
-    *horizon = (uint8_t)(best ? rounded(lo * (255 / quarter)) : 255);
-    *ceiling = (uint8_t)(best ? 255 - rounded(hi * (255 / quarter)) : 0);
     return 1;
+}
+
+typedef struct { int azimuth; float shut, open; } edge;
+
+/* Elevations at which the one becomes the other. */
+static void halve(const orl_view *v, const double o[3], edge *e, int n)
+{
+    orl_march m;
+    for (int h = 0; n && h < HALVINGS; h++) {
+        m.n = 0;
+        for (int k = 0; k < n; k++) look_at(v, o, azimuth_of(e[k].azimuth), 0.5f * (e[k].shut + e[k].open), &m);
+        orl_march_run(v->scene, 0, &m);
+        for (int k = 0; k < n; k++) *(m.rays.t[k] < 0 ? &e[k].open : &e[k].shut) = 0.5f * (e[k].shut + e[k].open);
+    }
 }
 
 static void bake_pixel(const trace_job *j, int x, int y)
@@ -597,7 +843,26 @@ static void bake_pixel(const trace_job *j, int x, int y)
     if (!v->cov[at] || !v->scene->lite) return;
     orl_view_sample(v, x, y, &p);
     if (!lifted(v, x, y, p.normal, o)) return;
-    for (int i = 0; i < ORL_HORIZON; i++) known[i] = gap_of(v, o, p.normal, i, &horizon[(size_t)i * n], &ceiling[(size_t)i * n]);
+    const float step = QUARTER_TURN / LOOKS;
+    int open[ORL_HORIZON][LOOKS], edges = 0, low[ORL_HORIZON], high[ORL_HORIZON];       /* the gap's ends among the edges; -1: horizon and zenith */
+    edge e[2 * ORL_HORIZON];
+    look_around(v, o, p.normal, open);
+    for (int i = 0; i < ORL_HORIZON; i++) {
+        int first, looks;
+        low[i] = high[i] = -1;
+        known[i] = gap_of(open[i], &first, &looks);
+        if (known[i] && !looks) { horizon[(size_t)i * n] = 255; ceiling[(size_t)i * n] = 0; known[i] = 2; }
+        if (known[i] != 1) continue;
+        if (first) { low[i] = edges; e[edges++] = (edge){ i, ((float)first - 0.5f) * step, ((float)first + 0.5f) * step }; }
+        if (first + looks < LOOKS) { high[i] = edges; e[edges++] = (edge){ i, ((float)(first + looks) + 0.5f) * step, ((float)(first + looks) - 0.5f) * step }; }
+    }
+    halve(v, o, e, edges);
+    for (int i = 0; i < ORL_HORIZON; i++) {
+        if (known[i] != 1) continue;
+        float lo = low[i] < 0 ? 0 : 0.5f * (e[low[i]].shut + e[low[i]].open), hi = high[i] < 0 ? QUARTER_TURN : 0.5f * (e[high[i]].shut + e[high[i]].open);
+        horizon[(size_t)i * n] = (uint8_t)rounded(lo * (255 / QUARTER_TURN));
+        ceiling[(size_t)i * n] = (uint8_t)(255 - rounded(hi * (255 / QUARTER_TURN)));
+    }
     for (int i = 0; i < ORL_HORIZON; i++)
         for (int off = 1; !known[i] && off < ORL_HORIZON; off++) {                   /* as the nearest azimuth that it faces; the first of two */
             size_t to = (size_t)i * n, from = (size_t)((i + (off & 1 ? (off + 1) / 2 : ORL_HORIZON - off / 2)) & (ORL_HORIZON - 1));

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include "oriel/image.h"
 #include "oriel/parallel.h"
 #include "runtime/arena.h"
@@ -11,7 +12,16 @@ enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
 #define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
-void *orl_widen_block(size_t bytes) { return aligned_alloc(64, orl_align64(bytes)); }
+/* In large pages where there are some: thousands of small ones are touched for the first time in a new pose. */
+void *orl_widen_block(size_t bytes)
+{
+    const size_t large = (size_t)2 << 20;
+    if (bytes < large) return aligned_alloc(64, orl_align64(bytes));
+    size_t n = (bytes + large - 1) / large * large;
+    void *p = n < bytes ? NULL : aligned_alloc(large, n);
+    if (p) madvise(p, n, MADV_HUGEPAGE);
+    return p;
+}
 
 orl_camera orl_widen_small(const orl_camera *photo)
 {
@@ -37,7 +47,7 @@ static int pick(int w, int h, int *spot)
     return n;
 }
 
-typedef struct { void *small, *wide, *blend; } blocks;
+typedef struct { void *small, *wide, *blend; uint8_t *wanted; } blocks;
 
 static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, blocks *b)
 {
@@ -52,6 +62,8 @@ static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, block
     b->small = orl_arena_take(a, c->baked ? orl_view_attach_need(s.w, s.h) : orl_view_need(s.w, s.h));
     b->wide = orl_arena_take(a, c->baked ? orl_view_attach_need(c->wide.w, c->wide.h) : orl_view_need(c->wide.w, c->wide.h));
     b->blend = c->blend ? orl_arena_take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
+    size_t n = (size_t)s.w * (size_t)s.h, m = (size_t)c->wide.w * (size_t)c->wide.h;
+    b->wanted = c->baked ? NULL : orl_arena_take(a, n > m ? n : m);
 }
 
 size_t orl_widen_need(const orl_widen_config *c)
@@ -99,17 +111,26 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
     lay_out(&a, c, &w, &b);
     orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
     orl_err e = ORL_OK;
+    pick(s.w, s.h, w.spot);
+    if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, c->threads, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
+    if (e) return e;
     if (c->baked) {
         e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
         if (!e) e = orl_view_attach(&c->baked[1], b.wide, orl_view_attach_need(c->wide.w, c->wide.h), &w.wide);
     } else {
-        e = orl_view_build(c->scene, &s, &c->photo_pose, 2, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
-        if (!e) e = orl_view_build(c->scene, &c->wide, &c->wide_pose, 2, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+        memset(b.wanted, 0, (size_t)s.w * (size_t)s.h);
+        for (int i = 0; i < w.nsamples; i++) b.wanted[w.spot[i]] = 1;
+        e = orl_view_build_some(c->scene, &s, &c->photo_pose, 2, b.wanted, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
+        for (int y = 0, x0 = 0, x1 = 0; y < c->wide.h; y++) {
+            uint8_t *row = b.wanted + (size_t)y * (size_t)c->wide.w;
+            if (w.blend && !c->no_skip) orl_blend_covered(w.blend, y, &x0, &x1);
+            memset(row, 1, (size_t)c->wide.w);
+            memset(row + x0, 0, (size_t)(x1 - x0));
+        }
+        if (!e) e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, 2, b.wanted, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
     }
-    if (!e && c->blend)
-        e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, w.wide.cov, (size_t)w.wide.stride, c->mask, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
     if (e) return e;
-    pick(s.w, s.h, w.spot);
+    if (w.blend) orl_blend_layers(w.blend, w.wide.cov, (size_t)w.wide.stride);
     for (int i = 0; i < s.w * s.h; i++) {
         uint64_t person = 0;
         if (c->mask) average(&c->photo, s.w, s.h, i % s.w, i / s.w, c->mask, 1, &person);
@@ -157,6 +178,7 @@ static float misfit(orl_widen *w, const float *code, int step)
 static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
 {
     orl_adapt_options opt = orl_adapt_defaults();
+    opt.threads = w->config.threads;
     w->starts++;
     return orl_adapt(&w->config.scene->light, w->samples, (size_t)w->nsamples, init, &opt, w->adapt_work, orl_adapt_need(), out);
 }

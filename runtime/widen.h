@@ -1,6 +1,6 @@
 /* One camera, one wide view: what `extend` does once and `run` every frame. Private to the runtime.
  *
- * A small view at the photo's camera serves adaptation, the wide view is re-lit and shaded, the blend lays the photo in. Everything lives in the caller's block;
+ * A small view at the photo's camera serves adaptation, marched where adaptation looks alone; the wide view, marched where the photo does not stand alone, is re-lit and shaded; the blend lays the photo in. Everything lives in the caller's block;
  * after orl_widen_init nothing is allocated. Same bytes for any number of threads, any kernel and machine. */
 #ifndef RUNTIME_WIDEN_H
 #define RUNTIME_WIDEN_H
@@ -15,7 +15,7 @@ typedef struct {
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
     int blend;                          /* 0: the render alone */
-    int no_skip;                        /* shade also what the photo covers; the same picture */
+    int no_skip;                        /* march and shade also what the photo covers; the same picture */
     int threads;
     unsigned cpu;
 } orl_widen_config;

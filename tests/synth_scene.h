@@ -114,7 +114,7 @@ static inline void synth_scene_make(orl_scene *s, uint32_t nbx, uint32_t nby, ui
         uint32_t *skin = NULL;
         int8_t *sh = NULL;
         if (pass) {
-            s->sdf = sdf = malloc(n * ORL_BRICK_VERTS + 1);
+            s->sdf = sdf = malloc(n * ORL_BRICK_VERTS + 2);
             s->skin = skin = malloc((n + 1) * sizeof *skin);
             s->albedo = alb = malloc(n * ORL_SKIN_FACES * ORL_SKIN_TEXELS * 3 + 1);
             s->lite = lite = malloc(n * ORL_LITE_VERTS * ORL_LITE_BYTES + 1);

@@ -167,6 +167,23 @@ static void frozen_parts_hold(void **state)
         }
 }
 
+static void threads_agree(void **state)
+{
+    (void)state;
+    float code[ORL_CODE];
+    make_code(code);
+    make_photo(code, 0.1f, 0.02f);
+    for (int cold = 0; cold < 2; cold++) {
+        orl_adapt_options o = orl_adapt_defaults();
+        orl_adapt_result one, more;
+        adapt(cold ? NULL : code, &o, &one);
+        for (o.threads = 2; o.threads < 6; o.threads++) {
+            adapt(cold ? NULL : code, &o, &more);
+            assert_memory_equal(&one, &more, sizeof one);
+        }
+    }
+}
+
 static void all_finite(const orl_adapt_result *r)
 {
     for (int k = 0; k < ORL_CODE; k++) assert_true(isfinite(r->code[k]) && isfinite(r->std[k]));
@@ -320,6 +337,6 @@ int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
     const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(hostile_start),
-                                        cmocka_unit_test(unseen_sky_is_as_elsewhere) };
+                                        cmocka_unit_test(unseen_sky_is_as_elsewhere), cmocka_unit_test(threads_agree) };
     return cmocka_run_group_tests(tests, setup, teardown);
 }

@@ -188,7 +188,7 @@ static void a_view_shows_it(void **state)
             assert_int_equal(s[1].cov > 0, on);
             if (!on) continue;
             shown++;
-            assert_true(fabsf(s[1].albedo[0] - 200.0f * 200 / 65025) < 1e-3f && s[1].open == 1 && s[1].normal[2] > 0.65f && s[1].normal[2] < 0.75f);
+            assert_true(fabsf(s[1].albedo[0] - 200.0f * 200 / 65025) < 4e-3f /* a view's byte */ && s[1].open == 1 && s[1].normal[2] > 0.65f && s[1].normal[2] < 0.75f);
             if (uv[0] < ORL_BACK_WALL - 8) half += s[2].cov > 0.6f && s[2].cov < 0.9f;     /* 160 of 255: three rays of four */
             full += s[3].cov == 1;
         }

@@ -41,7 +41,9 @@ static orl_err make(setup *s, orl_camera pc, orl_camera wc, const double *turn, 
         assert_int_equal(orl_pose_from_quat(&w, turn, T), ORL_OK);
         for (int i = 0; i < 3; i++) w.t[i] = -(w.R[3 * i] * c[0] + w.R[3 * i + 1] * c[1] + w.R[3 * i + 2] * c[2]);
     }
-    return orl_blend_init(&pc, &p, &wc, &w, s->cov, (size_t)wc.w, mask, s->block, s->need, &s->b);
+    orl_err e = orl_blend_init(&pc, &p, &wc, &w, mask, 2, s->block, s->need, &s->b);
+    if (!e) orl_blend_layers(s->b, s->cov, (size_t)wc.w);
+    return e;
 }
 
 static void drop(setup *s)
@@ -233,8 +235,8 @@ static void refusals(void **state)
     w = p;
     w.t[0] += 0.1;
     orl_blend *b = s.b;
-    assert_int_equal(orl_blend_init(&s.pc, &p, &s.wc, &w, s.cov, WW, NULL, s.block, s.need, &b), ORL_E_RANGE);
-    assert_int_equal(orl_blend_init(&s.pc, &p, &s.wc, &p, s.cov, WW, NULL, s.block, s.need - 1, &b), ORL_E_MEMORY);
+    assert_int_equal(orl_blend_init(&s.pc, &p, &s.wc, &w, NULL, 1, s.block, s.need, &b), ORL_E_RANGE);
+    assert_int_equal(orl_blend_init(&s.pc, &p, &s.wc, &p, NULL, 1, s.block, s.need - 1, &b), ORL_E_MEMORY);
     assert_ptr_equal(b, s.b);
     drop(&s);
 }

@@ -72,7 +72,8 @@ static void lines_up(void **state)
             size_t need = orl_blend_need(WW, WH);
             void *block = aligned_alloc(64, (need + 63) & ~(size_t)63);
             orl_blend *b;
-            assert_int_equal(orl_blend_init(&pc, &pose, &wc, &pose, cov, WW, NULL, block, need, &b), ORL_OK);
+            assert_int_equal(orl_blend_init(&pc, &pose, &wc, &pose, NULL, 1, block, need, &b), ORL_OK);
+            orl_blend_layers(b, cov, WW);
             orl_blend_apply(b, photo, wide, orl_cpu_detect(), 1);
             double worst = 0, sum = 0, bent = 0;
             long n = 0;

@@ -10,6 +10,7 @@ typedef struct {
     int azimuths;           /* sun azimuths tried as starts when init is NULL; default 8, each at two elevations */
     float prior_weight;     /* times the prior's quadratic form; default 1 */
     float sigma;            /* noise of a residual at rgb scale; default 0.05 */
+    int threads;            /* that share the samples; default 1, <= 0: one per core. The same bits for any number */
     unsigned frozen;        /* bit 0: l_e fixed, bit 1: l_s fixed, bit 2: l_t fixed, bit 3: sun direction fixed */
 } orl_adapt_options;
 typedef struct {

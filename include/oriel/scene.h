@@ -36,7 +36,7 @@ typedef struct {
     float cell_world;               /* world units per fine cell */
     uint32_t nbricks;               /* at most ORL_BRICKS_MOST */
     const int32_t *bmap;            /* [nb_z][nb_y][nb_x]: >= 0 brick index, rising by one from 0; < 0: empty, -d = Chebyshev distance in bricks to the nearest brick, -127 at most */
-    const int8_t *sdf;              /* [nbricks][729] */
+    const int8_t *sdf;              /* [nbricks][729], two bytes behind which may be read */
     uint32_t ntextures;
     const uint32_t *skin;           /* [nbricks]: first texture << 6 | faces (oriel/skin.h), at least one; bricks take their textures in turn */
     const uint8_t *albedo;          /* [ntextures][17 x 17][3]: linear albedo = (v / 255)^2 */

@@ -25,8 +25,11 @@ typedef struct {
 
 int orl_view_stride(int w);                                         /* pixels of a padded row */
 size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
-/* Marches every pixel; supersample 1 or 2 (2: four rays a pixel, attributes averaged, coverage counted). Bit-identical for any thread count. */
+/* Marches every pixel; supersample 1 or 2. 1: one ray through its middle. 2: four rays, attributes averaged, coverage counted: through its corners, shared with its neighbours, or where a pixel is wider than
+ * a cell a quarter of it from its sides. Rays are marched in floats (runtime/kernels/rays.h); bit-identical for any thread count and machine. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
+/* The same of pixels that are wanted alone ([h][w], nonzero; NULL: all): the others hold sky. */
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out);
 
 /* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
  * ceiling: [16][stride h], the caller's, zeroed; v->ceiling when all rows are done. Bit-identical for any thread count. */
@@ -38,7 +41,8 @@ orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_vie
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
 
-/* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
+/* Whether the sun of a light reaches the pixels of rows [y0, y1), by rays from ORL_SUN_LIFT cells over the surface: one from every other pixel of every other row, and from those that look at the sun while what
+ * is known of their neighbours differs; a sun under the horizon is left to the horizons. Goes on counting as the
  * sun moves, so trace again where it moved by more than a degree or so. A baked view looks it up. Bit-identical for any thread count and cpu. */
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads);
 
