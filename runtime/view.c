@@ -67,11 +67,12 @@ static int pixel_dir(const orl_view *v, double x, double y, double d[3])
 
 static int8_t *phi_of(const orl_view *v, size_t at, int k) { return v->phi[k / ORL_PHI_GROUP] + at * ORL_PHI_GROUP + k % ORL_PHI_GROUP; }
 
-/* Base colour, Q16, in the view's bytes: by the kernels' own power. */
-static uint8_t albedo_byte(uint32_t q16)
+/* A view's bytes of base colours Q16, by their upper 12 bits: the kernels' own power. */
+enum { ALBEDOS = 4096 };
+static void albedo_bytes(uint8_t byte[ALBEDOS])
 {
-    int e = (int)(q16 / 2);
-    return (uint8_t)(e < 2 ? 0 : (orl_power_ref(e) * 255 + (1 << 14)) >> 15);
+    for (int i = 0; i < ALBEDOS; i++) byte[i] = (uint8_t)((orl_power_ref(8 * i + 4) * 255 + (1 << 14)) >> 15);
+    byte[0] = 0;
 }
 
 /* ---- building */
@@ -80,7 +81,7 @@ enum { TILE = 15, FINE = 8, TILE_RAYS = 256 };       /* pixels a side whose rays
 _Static_assert((TILE + 1) * (TILE + 1) <= (int)TILE_RAYS && 4 * FINE * FINE <= (int)TILE_RAYS && (int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
 #define COARSE_PIXEL 1.0             /* cells */
 
-typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; } build_job;       /* across: tiles in a row of them */
+typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; uint8_t albedo[ALBEDOS]; } build_job;       /* across: tiles in a row of them */
 
 /* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
@@ -203,10 +204,11 @@ static void march_tile(const build_job *j, tile *l, double freely)
 
 typedef struct { uint32_t albedo[3]; int32_t lite[ORL_LITE_BYTES], phi[ORL_SHADOW_DIM]; int64_t t; } sums;
 
-static inline __attribute__((always_inline)) void put_means(orl_view *v, size_t at, const sums *s, int m)
+static inline __attribute__((always_inline)) void put_means(const build_job *j, size_t at, const sums *s, int m)
 {
     const int32_t one = m << 8, half = m << 7;
-    for (int c = 0; c < 3; c++) v->albedo[c][at] = albedo_byte((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m);
+    orl_view *v = j->v;
+    for (int c = 0; c < 3; c++) v->albedo[c][at] = j->albedo[((s->albedo[c] + (uint32_t)m / 2) / (uint32_t)m) >> 4];
     v->open[at] = (uint8_t)((s->lite[0] + half) / one);
     for (int i = 0; i < ORL_HORIZON; i++) v->horizon[(size_t)i * plane_size(v) + at] = (uint8_t)((uint32_t)(s->lite[1 + i] + half) / (uint32_t)one);
     for (int k = 0; k < ORL_SHADOW_DIM; k++) *phi_of(v, at, k) = (int8_t)((s->phi[k] < 0 ? s->phi[k] - half : s->phi[k] + half) / one);     /* half away from zero */
@@ -267,10 +269,10 @@ static void build_pixel(const build_job *j, int x, int y, const tile *l, const i
     for (int a = 0; a < 3 && len > 0; a++) v->normal[a][at] = (int8_t)(n[a] < 0 ? 127 * n[a] / len - 0.5 : 127 * n[a] / len + 0.5);
     v->cov[at] = (uint8_t)((255 * hits + rays / 2) / rays);
     switch (hits) {         /* constant divisors */
-    case 1: put_means(v, at, &sum, 1); break;
-    case 2: put_means(v, at, &sum, 2); break;
-    case 3: put_means(v, at, &sum, 3); break;
-    case 4: put_means(v, at, &sum, 4); break;
+    case 1: put_means(j, at, &sum, 1); break;
+    case 2: put_means(j, at, &sum, 2); break;
+    case 3: put_means(j, at, &sum, 3); break;
+    case 4: put_means(j, at, &sum, 4); break;
     }
 }
 
@@ -418,7 +420,8 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
     orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
-    build_job j = { s, &v, wanted, supersample, (cam->w + TILE - 1) / TILE, { 0 } };
+    build_job j = { s, &v, wanted, supersample, (cam->w + TILE - 1) / TILE, { 0 }, { 0 } };
+    albedo_bytes(j.albedo);
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
     orl_pose_centre(pose, centre);
