@@ -1,5 +1,6 @@
 /* Dispatch: C first, overridden by what the CPU flags allow. */
 #include "runtime/kernels/shade.h"
+#include "runtime/numbers.h"
 
 #define SET(isa) (orl_kernels){ orl_vis_##isa, orl_shadow_##isa, orl_shade_##isa, orl_warp_##isa, orl_mix_##isa }
 
