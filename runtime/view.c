@@ -8,7 +8,7 @@
 #include "runtime/kernels/shade.h"
 #include "runtime/march.h"
 
-enum { NODES = 66, GRAIN = 4, CHUNK = 1024, QUARTER = 255 * 256 };      /* QUARTER turn in units of the horizons' kernel */
+enum { NODES = 66, GRAIN = 4, CHUNK = 1024, QUARTER = 255 * 256, APART = 96 };      /* QUARTER turn in units of the horizons' kernel */
 
 /* Directions on a coarse grid of pixel centres: node (i, j) is pixel (i << log2, j << log2). */
 typedef struct { int log2, nx, ny; float dir[NODES * NODES][3]; } sky_grid;
@@ -50,18 +50,18 @@ size_t orl_view_need(int w, int h)
 
 /* ---- rays */
 
-/* Unit direction of pixel position (x, y), scene frame. 0 if the lens has none. */
+/* Unit direction of pixel position (x, y), scene frame. 0 if the lens has none, d untouched. */
 static int pixel_dir(const orl_view *v, double x, double y, double d[3])
 {
-    double c[3], len = 0;
+    double c[3], r[3], len = 0;
     orl_camera_unproject(&v->cam, x, y, c);
     for (int a = 0; a < 3; a++) {
-        d[a] = v->grid_from_cam[3 * a] * c[0] + v->grid_from_cam[3 * a + 1] * c[1] + v->grid_from_cam[3 * a + 2] * c[2];
-        len += d[a] * d[a];
+        r[a] = v->grid_from_cam[3 * a] * c[0] + v->grid_from_cam[3 * a + 1] * c[1] + v->grid_from_cam[3 * a + 2] * c[2];
+        len += r[a] * r[a];
     }
     if (!(len > 1e-12 && len < 1e12)) return 0;
     len = sqrt(len);
-    for (int a = 0; a < 3; a++) d[a] /= len;
+    for (int a = 0; a < 3; a++) d[a] = r[a] / len;
     return 1;
 }
 
@@ -584,7 +584,8 @@ static void make_tone(orl_shade_tab *t, const orl_light *l)
     }
 }
 
-static void make_vis(orl_vis_tab *t, const orl_light *l)
+/* apart: of a view's own horizons; the scene's are coarse, and as the float model takes them. */
+static void make_vis(orl_vis_tab *t, const orl_light *l, int baked)
 {
     const float pi = 3.14159265f;
     float a = l->code[ORL_C_SUN_AZ] * (ORL_HORIZON / (2 * pi));
@@ -592,6 +593,7 @@ static void make_vis(orl_vis_tab *t, const orl_light *l)
     t->i0 = i & (ORL_HORIZON - 1);
     t->i1 = (i + 1) & (ORL_HORIZON - 1);
     t->f = rounded((a - (float)i) * 256);
+    t->apart = baked ? APART : 255;
     t->over = rounded(clampf((l->code[ORL_C_SUN_EL] + ORL_SUN_SOFT / 2) * (QUARTER * 2 / pi), -1e6f, 1e6f));
     t->under = QUARTER + ORL_VIS_SPAN - t->over;                /* pi / 2 - elevation + half the soft sun */
     if (t->under < ORL_VIS_SPAN) t->under = ORL_VIS_SPAN;       /* nothing overhead hides nothing */
@@ -619,7 +621,7 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     make_light(&t->tab, l);
     make_shadow(&t->tab, v, l);
     make_tone(&t->tab, l);
-    make_vis(&t->vis, l);
+    make_vis(&t->vis, l, v->ceiling != NULL);
     make_sky(t->sky, v->sky, l);
     return t;
 }
@@ -645,7 +647,7 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
     return 1;
 }
 
-typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis; uint8_t *ceiling; orl_kernels k; } trace_job;
+typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis, between; uint8_t *ceiling; orl_kernels k; } trace_job;
 
 static int faces_sun(const trace_job *j, size_t at, float n[3])
 {
@@ -735,7 +737,7 @@ static void trace_band(const trace_job *j, int begin, int end)
         }
 }
 
-/* What a ceiling takes of a baked pixel's sun. */
+/* What a baked pixel's sun has over the float model's. */
 static void look_up_row(const trace_job *j, int y)
 {
     orl_view *v = j->v, open = *v;
@@ -746,8 +748,8 @@ static void look_up_row(const trace_job *j, int y)
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
         vis_of(&j->k, v, &j->vis, 0, at, n, vis);
-        vis_of(&j->k, &open, &j->vis, 0, at, n, over);
-        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)-((over[i] - vis[i] + 129) / 258);
+        vis_of(&j->k, &open, &j->between, 0, at, n, over);
+        for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)((vis[i] - over[i] + (vis[i] < over[i] ? -129 : 129)) / 258);
     }
 }
 
@@ -762,7 +764,8 @@ void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigne
 {
     trace_job j = { .v = v, .l = l, .y0 = y0 };
     orl_kernels_init(&j.k, cpu);
-    make_vis(&j.vis, l);
+    make_vis(&j.vis, l, v->ceiling != NULL);
+    make_vis(&j.between, l, 0);
     orl_parallel(threads, y1 - y0, 4 * GRAIN, trace_rows, &j);
 }
 

@@ -76,6 +76,7 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
     d->vis_tab.i0 = kd_in(&r, m, 0, 15);
     d->vis_tab.i1 = (d->vis_tab.i0 + 1) & 15;
     d->vis_tab.f = kd_in(&r, m, 0, 256);
+    d->vis_tab.apart = kd_in(&r, m, 0, 255);
     d->vis_tab.over = kd_in(&r, m, -200000, 200000) >> (m == KD_RANDOM ? 1 : 0);
     d->vis_tab.under = kd_in(&r, m, -200000, 200000) >> (m == KD_RANDOM ? 1 : 0);
     d->ceilings = kd_in(&r, m, 0, 1);

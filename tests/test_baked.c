@@ -251,7 +251,7 @@ static void hostile_files(void **state)
 static void random_bytes(void **state)
 {
     (void)state;
-    uint64_t seed = (uint64_t)time(NULL), r = seed;
+    uint64_t seed = getenv("SEED") ? strtoull(getenv("SEED"), NULL, 10) : (uint64_t)time(NULL), r = seed;
     int taken = 0, named = 0;
     print_message("seed %llu\n", (unsigned long long)seed);
     write_file(at("v.oriel"));

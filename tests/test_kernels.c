@@ -82,7 +82,7 @@ static void test_vis_is_smoothstep(void **state)
     for (int i = 0; i < 256; i++) { cov[i] = 255; h0[i] = (uint8_t)i; h1[i] = (uint8_t)(255 - i); fix[i] = (int8_t)(i % 3 * 127 - 127); }
     for (int f = 0; f <= 256; f += 37)
         for (int mode = 0; mode < 3; mode++) {
-            orl_vis_tab t = { 3, 4, f, (int32_t)((el + ORL_SUN_SOFT / 2) * unit), (int32_t)((quarter - el + ORL_SUN_SOFT / 2) * unit) };
+            orl_vis_tab t = { 3, 4, f, 255, (int32_t)((el + ORL_SUN_SOFT / 2) * unit), (int32_t)((quarter - el + ORL_SUN_SOFT / 2) * unit) };
             orl_vis_in in = { { h0, h1 }, { mode == 1 ? h0 : NULL, mode == 1 ? h1 : NULL }, mode == 2 ? fix : NULL, cov };
             orl_vis_ref(&in, &t, 256, vis);
             for (int i = 0; i < 256; i++) {

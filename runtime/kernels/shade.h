@@ -5,6 +5,7 @@
  * x >>r k is a rounding shift: (x + 2^(k-1)) >> k, k = 0: x.
  *
  *   lit(p, edge)  h = p[0] (256 - f) + p[1] f                                     Q8 of 1/255 quarter turn, 0 .. 65280
+ *           but where p[0] and p[1] are more than `apart` from each other, 256 p[f >= 128]: not a slope, an edge, put halfway
  *           d = clamp(edge - h, 0, ORL_VIS_SPAN), t = 2 mul(8 d, 20182)           Q15, at most 32766
  *           a = mul(t, t), m = mul(a, 32767 - t), a +| m +| m                     smoothstep, Q15
  *   vis     lit(horizon, over), and where there are ceilings mul(that, lit(ceiling, under)), and where a sun was traced max(that +| 258 fix, 0)
@@ -48,6 +49,7 @@ enum {
 typedef struct {
     int i0, i1;                     /* azimuths 0..15 on both sides of the sun */
     int f;                          /* 0..256 */
+    int apart;                      /* 0..255; 255: always between both */
     int32_t over, under;            /* upper edge of the soft sun over horizons, and over ceilings seen from above; units of h */
 } orl_vis_tab;
 

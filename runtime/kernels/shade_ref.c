@@ -1,4 +1,5 @@
 /* Re-lighting in plain C: the specification of shade.h that every other variant must meet bit for bit. */
+#include <stdlib.h>
 #include "runtime/kernels/shade.h"
 
 static int mul(int a, int b) { return (a * b + 0x4000) >> 15; }
@@ -17,8 +18,9 @@ static int covered(const uint8_t *cov, int i)
     return any;
 }
 
-static int lit(const uint8_t *const p[2], int i, int f, int32_t edge)
+static int lit(const uint8_t *const p[2], int i, const orl_vis_tab *tab, int32_t edge)
 {
+    int f = abs(p[0][i] - p[1][i]) > tab->apart ? tab->f < 128 ? 0 : 256 : tab->f;
     int d = clamp(edge - (p[0][i] * (256 - f) + p[1][i] * f), 0, ORL_VIS_SPAN), t = 2 * mul(8 * d, 20182), a = mul(t, t), m = mul(a, 32767 - t);
     return plus(plus(a, m), m);
 }
@@ -27,8 +29,8 @@ void orl_vis_ref(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis
 {
     for (int i = 0; i < n; i++) {
         if (!covered(in->cov, i)) { vis[i] = 0; continue; }
-        int v = lit(in->horizon, i, t->f, t->over);
-        if (in->ceiling[0]) v = mul(v, lit(in->ceiling, i, t->f, t->under));
+        int v = lit(in->horizon, i, t, t->over);
+        if (in->ceiling[0]) v = mul(v, lit(in->ceiling, i, t, t->under));
         if (in->fix) v = clamp(plus(v, 258 * in->fix[i]), 0, 32767);
         vis[i] = (int16_t)v;
     }

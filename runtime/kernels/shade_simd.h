@@ -21,25 +21,25 @@ INLINE int run_end(const uint8_t *cov, int i, int16_t *zeros)
 /* ---- the sun */
 
 /* In 16 bits: what an edge above 65535 has over it is added to what 65535 has over h. */
-typedef struct { vec w0, w1, low, high; } edge;
+typedef struct { vec w0, w1, low, high, apart; int nearer; } edge;
 
-INLINE edge edge_of(int f, int32_t at)
+INLINE edge edge_of(const orl_vis_tab *t, int32_t at)
 {
     int more = at - 65535;
-    return (edge){ set1(256 - f), set1(f), set1(at < 0 ? 0 : more > 0 ? 65535 : at), set1(more < 0 ? 0 : more > ORL_VIS_SPAN ? ORL_VIS_SPAN : more) };
+    return (edge){ set1(256 - t->f), set1(t->f), set1(at < 0 ? 0 : more > 0 ? 65535 : at), set1(more < 0 ? 0 : more > ORL_VIS_SPAN ? ORL_VIS_SPAN : more), set1(t->apart), t->f >= 128 };
 }
 
 INLINE vec lit(const uint8_t *const p[2], int i, const edge *e)
 {
-    vec h = add(mullo(load_u8(p[0] + i), e->w0), mullo(load_u8(p[1] + i), e->w1));
+    vec a = load_u8(p[0] + i), b = load_u8(p[1] + i), h = where_greater(sub(max(a, b), min(a, b)), e->apart, shl(e->nearer ? b : a, 8), add(mullo(a, e->w0), mullo(b, e->w1)));
     vec d = minu(addu(subu(e->low, h), e->high), set1(ORL_VIS_SPAN)), t = shl(mul(shl(d, 3), set1(20182)), 1);
-    vec a = mul(t, t), m = mul(a, sub(set1(32767), t));
-    return adds(adds(a, m), m);
+    vec q = mul(t, t), m = mul(q, sub(set1(32767), t));
+    return adds(adds(q, m), m);
 }
 
 void KERNEL(vis)(const orl_vis_in *in, const orl_vis_tab *t, int n, int16_t *vis)
 {
-    const edge over = edge_of(t->f, t->over), under = edge_of(t->f, t->under);
+    const edge over = edge_of(t, t->over), under = edge_of(t, t->under);
     for (int run = 0; run < n; run += ORL_KERNEL_STEP) for (int i = run, end = run_end(in->cov, run, vis); i < end; i += LANES) {
         vec v = lit(in->horizon, i, &over);
         if (in->ceiling[0]) v = mul(v, lit(in->ceiling, i, &under));

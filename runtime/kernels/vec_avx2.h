@@ -35,6 +35,7 @@ INLINE vec and(vec a, vec b) { return _mm256_and_si256(a, b); }
 INLINE vec shl_by(vec v, int n) { return _mm256_sll_epi16(v, _mm_cvtsi32_si128(n)); }
 INLINE vec sar_by(vec v, int n) { return _mm256_sra_epi16(v, _mm_cvtsi32_si128(n)); }
 
+INLINE vec where_greater(vec a, vec b, vec yes, vec no) { return _mm256_blendv_epi8(no, yes, _mm256_cmpgt_epi16(a, b)); }
 INLINE int any(vec v) { return !_mm256_testz_si256(v, v); }
 INLINE int all_255(vec v) { return _mm256_testc_si256(v, set1(255)); }                                 /* of bytes */
 INLINE vec where_255(vec v, vec yes, vec no) { return _mm256_blendv_epi8(no, yes, _mm256_cmpeq_epi16(v, set1(255))); }

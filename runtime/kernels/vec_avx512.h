@@ -49,6 +49,7 @@ INLINE vec and(vec a, vec b) { return _mm512_and_si512(a, b); }
 INLINE vec shl_by(vec v, int n) { return _mm512_sll_epi16(v, _mm_cvtsi32_si128(n)); }
 INLINE vec sar_by(vec v, int n) { return _mm512_sra_epi16(v, _mm_cvtsi32_si128(n)); }
 
+INLINE vec where_greater(vec a, vec b, vec yes, vec no) { return _mm512_mask_mov_epi16(no, _mm512_cmpgt_epi16_mask(a, b), yes); }
 INLINE int any(vec v) { return _mm512_test_epi16_mask(v, v) != 0; }
 INLINE int all_255(vec v) { return _mm512_cmpneq_epi16_mask(v, set1(255)) == 0; }                      /* of bytes */
 INLINE vec where_255(vec v, vec yes, vec no) { return _mm512_mask_mov_epi16(no, _mm512_cmpeq_epi16_mask(v, set1(255)), yes); }

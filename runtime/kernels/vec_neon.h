@@ -41,6 +41,7 @@ INLINE vec and(vec a, vec b) { return vandq_s16(a, b); }
 INLINE vec shl_by(vec v, int n) { return vshlq_s16(v, set1(n)); }
 INLINE vec sar_by(vec v, int n) { return vshlq_s16(v, set1(-n)); }
 
+INLINE vec where_greater(vec a, vec b, vec yes, vec no) { return vbslq_s16(vcgtq_s16(a, b), yes, no); }
 INLINE int any(vec v) { return vmaxvq_s16(v) != 0; }                                    /* of bytes, as the next two */
 INLINE int all_255(vec v) { return vminvq_s16(v) == 255; }
 INLINE vec where_255(vec v, vec yes, vec no) { return vbslq_s16(vceqq_s16(v, set1(255)), yes, no); }
