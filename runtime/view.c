@@ -461,11 +461,11 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     return t;
 }
 
-/* Sun visibility of n pixels from `at` on, Q15, by a view's horizons and ceilings, and with_fix by what a traced sun has over the horizons. */
-static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, int n, int16_t *vis)
+/* Sun visibility of n pixels from `at` on, Q15, by a view's horizons and ceilings, and with_fix by what a traced sun has over the horizons. cov: of these pixels. */
+static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, const uint8_t *cov, int n, int16_t *vis)
 {
     size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
-    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL, v->cov + at };
+    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL, cov };
     if (v->ceiling) in.ceiling[0] = v->ceiling + i0, in.ceiling[1] = v->ceiling + i1;
     else if (with_fix) in.fix = v->fix + at;
     k->vis(&in, t, n, vis);
@@ -517,8 +517,8 @@ static void look_up_row(const trace_job *j, int y)
         int16_t vis[CHUNK], over[CHUNK];
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        vis_of(&j->k, v, &j->vis, 0, at, n, vis);
-        vis_of(&j->k, &open, &j->vis, 0, at, n, over);
+        vis_of(&j->k, v, &j->vis, 0, at, v->cov + at, n, vis);
+        vis_of(&j->k, &open, &j->vis, 0, at, v->cov + at, n, over);
         for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)-((over[i] - vis[i] + 129) / 258);
     }
 }
@@ -650,7 +650,10 @@ static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, 
 static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t *const sky[3], uint8_t *rgb)
 {
     const sky_grid *g = v->sky;
-    int shadows = 0;
+    const int all = (v->no_skip & ORL_SKIP_SKY) != 0;
+    int shadows = (v->no_skip & ORL_SKIP_SHADOW) != 0;
+    uint8_t everywhere[CHUNK];
+    if (all) memset(everywhere, 255, sizeof everywhere);
     for (int i = 0; i < ORL_SHADOW_DIM; i++) shadows |= v->phi_scale[i] > 0;
     for (int n; x < end; x += n) {
         int16_t s[CHUNK], vis[CHUNK];
@@ -658,15 +661,16 @@ static void shade_span(const orl_view *v, const orl_view_light *l, const orl_ker
         uint8_t tail[CHUNK * 3], *to = rgb + 3 * (size_t)x;
         n = end - x < CHUNK ? end - x : CHUNK;
         int padded_n = (n + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, whole = padded_n == n;        /* the row's padding makes room */
-        orl_shade_in in = { .open = v->open + at, .cov = v->cov + at, .vis = vis, .s = shadows ? s : NULL, .sky_log2 = g->log2, .x = x };
+        orl_shade_in in = { .open = v->open + at, .cov = v->cov + at, .vis = vis, .s = shadows ? s : NULL, .sky_log2 = g->log2, .x = x, .all = all };
+        const uint8_t *runs = all ? everywhere : in.cov;
         for (int c = 0; c < 3; c++) {
             in.normal[c] = v->normal[c] + at;
             in.albedo[c] = v->albedo[c] + at;
             in.sky[c] = sky[c];
         }
         if (at + 2 * CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + CHUNK, &in);
-        vis_of(k, v, &l->vis, 1, at, padded_n, vis);
-        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, v->cov + at, &l->tab, padded_n, s);
+        vis_of(k, v, &l->vis, 1, at, runs, padded_n, vis);
+        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, runs, &l->tab, padded_n, s);
         k->shade(&in, &l->tab, padded_n, whole ? to : tail);
         if (!whole) memcpy(to, tail, 3 * (size_t)n);
     }
