@@ -86,6 +86,7 @@ static void find_ranges(canvas *c, const orl_plot_series *series, int n)
     if (!(c->x0 <= c->x1)) { c->x0 = c->y0 = 0; c->x1 = c->y1 = 1; }
     widen(&c->x0, &c->x1, st->log_x ? 0.3 : fmax(fabs(c->x0), 1) * 0.1);
     widen(&c->y0, &c->y1, st->log_y ? 0.3 : fmax(fabs(c->y0), 1) * 0.1);
+    if (st->no_lines && st->key_above) c->y1 += 0.2 * (c->y1 - c->y0);         /* marks may stand anywhere: room for the key */
     if (st->log_x) { c->x0 -= 0.03 * (c->x1 - c->x0); c->x1 += 0.03 * (c->x1 - c->x0); }
 }
 
@@ -211,7 +212,9 @@ static void add_key(const canvas *c, const orl_plot_series *series, int n)
     for (int k = 0; k < n; k++) {
         const char *colour = COLOURS[k % (int)(sizeof COLOURS / sizeof *COLOURS)];
         double x = LEFT + 12 + c->pw * (columns == 1 || k >= rows ? 0.55 : 0.05), y = c->st->key_above ? TOP + 14 + 17.0 * (k % rows) : TOP + c->ph - 10 - 17.0 * (rows - 1 - k % rows);
-        orl_text_add(c->out, "<path d=\"M%.1f %.1fh18\" stroke=\"%s\" stroke-width=\"3\"/><text x=\"%.1f\" y=\"%.1f\" fill=\"#1e293b\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\">", x, y - 4, colour, x + 25, y);
+        if (c->st->no_lines) orl_text_add(c->out, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3.5\" fill=\"%s\"/>", x + 14, y - 4, colour);
+        else orl_text_add(c->out, "<path d=\"M%.1f %.1fh18\" stroke=\"%s\" stroke-width=\"3\"/>", x, y - 4, colour);
+        orl_text_add(c->out, "<text x=\"%.1f\" y=\"%.1f\" fill=\"#1e293b\" stroke=\"#fff\" stroke-width=\"3\" paint-order=\"stroke\">", x + 25, y);
         orl_text_escape(c->out, series[k].name);
         orl_text_add(c->out, "</text>\n");
     }

@@ -5,7 +5,7 @@
 #include "runtime/kernels/shade.h"
 #include "runtime/widen.h"
 
-enum { ORL_BENCH_RUNS = 9, ORL_BENCH_POINTS = 96 };
+enum { ORL_BENCH_RUNS = 9, ORL_BENCH_POINTS = 96, ORL_BENCH_SAME_DB = 999 };     /* SAME_DB: what stands for an infinite PSNR */
 
 /* A setting's place in the plot: milliseconds, dB. series: a kernel variant, or the two below. */
 enum { ORL_BENCH_VARIANTS = 5, ORL_BENCH_FLOAT = ORL_BENCH_VARIANTS, ORL_BENCH_POSE, ORL_BENCH_SERIES };
@@ -21,12 +21,12 @@ typedef struct {
     size_t bytes;                               /* read and written */
     double once;                                /* seconds spent once a pose, on top */
     double without;                             /* seconds without this skip */
-    double change_db;                           /* what the skip does to the picture: 99 nothing */
+    double change_db;                           /* what the skip does to the picture: infinite where nothing */
 } orl_bench_row;
 #define ORL_BENCH_ROW .error_db = NAN, .once = NAN, .without = NAN, .change_db = NAN     /* first among a row's initialisers */
 void orl_bench_put(const orl_bench *b, const orl_bench_row *r);
 
-/* Of two pictures of n bytes; 99 where they are the same, 98 at most where not. */
+/* Of two pictures of n bytes; infinite where they are the same. */
 double orl_bench_psnr(const uint8_t *a, const uint8_t *b, size_t n);
 /* The float model on the view's own pixels, in 8 bits as the kernels write them. rgb: [h][w][3] */
 void orl_bench_float(const orl_view *v, const orl_light *l, uint8_t *rgb);

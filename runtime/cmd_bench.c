@@ -75,19 +75,21 @@ void orl_bench_put(const orl_bench *b, const orl_bench_row *r)
         printf("{\"name\": \"%s%s%s\", \"seconds\": %.6g", r->name, r->variant ? " " : "", r->variant ? r->variant : "", r->seconds);
         if (isfinite(r->once)) printf(", \"once_seconds\": %.6g", r->once);
         if (isfinite(r->without)) printf(", \"without_seconds\": %.6g, \"saved\": %.3f", r->without, saved);
-        if (isfinite(r->change_db)) printf(", \"change_db\": %.2f, \"identical\": %s", r->change_db, r->change_db >= 99 ? "true" : "false");
+        if (isfinite(r->change_db)) printf(", \"identical\": false, \"change_db\": %.2f", r->change_db);
+        else if (!isnan(r->change_db)) printf(", \"identical\": true");
         if (r->bytes) printf(", \"bytes\": %zu", r->bytes);
         if (isfinite(ratio)) printf(", \"ratio\": %.3g, \"against\": \"memcpy\"", ratio);
-        if (isfinite(r->error_db)) printf(", \"error_db\": %.2f", r->error_db);
+        if (!isnan(r->error_db)) printf(", \"error_db\": %.2f", fmin(r->error_db, ORL_BENCH_SAME_DB));
         if (r->error_of) printf(", \"error_of\": \"%s\"", r->error_of);
         printf("}\n");
     } else {
         printf("%-44s %-8s %10.3f ms", r->name, r->variant ? r->variant : "", 1e3 * r->seconds);
         if (isfinite(r->once)) printf(", %9.3f once", 1e3 * r->once);
         if (isfinite(r->without)) printf(", %9.3f without: %.3f saved, %.0f %%", 1e3 * r->without, 1e3 * (r->without - r->seconds), 100 * saved);
-        if (isfinite(r->change_db)) r->change_db >= 99 ? printf("; the same picture") : printf("; %.2f dB from it", r->change_db);
+        if (isfinite(r->change_db)) printf("; %.2f dB from it", r->change_db);
+        else if (!isnan(r->change_db)) printf("; the same picture");
         if (isfinite(ratio)) printf("  %7.2f x memcpy of %.1f MB", ratio, (double)r->bytes * 1e-6);
-        if (isfinite(r->error_db)) printf("  %6.2f dB", r->error_db);
+        if (!isnan(r->error_db)) printf("  %6.2f dB", fmin(r->error_db, ORL_BENCH_SAME_DB));
         if (r->error_of) printf(" from %s", r->error_of);
         printf("\n");
     }
@@ -117,7 +119,7 @@ double orl_bench_psnr(const uint8_t *a, const uint8_t *b, size_t n)
 {
     double sum = 0;
     for (size_t i = 0; i < n; i++) sum += (double)(a[i] - b[i]) * (a[i] - b[i]);
-    return sum > 0 ? fmin(10 * log10(255.0 * 255 * (double)n / sum), 98) : 99;
+    return sum > 0 ? 10 * log10(255.0 * 255 * (double)n / sum) : INFINITY;
 }
 
 /* Pixels in runs that have a surface: of the others' planes only coverage is read. */

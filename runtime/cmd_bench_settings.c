@@ -34,9 +34,10 @@ static orl_err make_exact(const orl_bench_place *p, uint8_t *rgb)
                 float c[3];
                 orl_view_sample(&v, 2 * (i % w) + (k & 1), 2 * (i / w) + (k >> 1), &s);
                 orl_light_shade(p->light, &s, c);
-                for (int q = 0; q < 3; q++) sum[q] += c[q] > 0 ? c[q] < 1 ? c[q] : 1 : 0;
+                for (int q = 0; q < 3; q++) sum[q] += 0.25f * c[q];
             }
-            for (int q = 0; q < 3; q++) rgb[3 * ((size_t)y0 * (size_t)w + (size_t)i) + (size_t)q] = (uint8_t)(sum[q] * (255 / 4.0f) + 0.5f);
+            uint8_t *to = rgb + 3 * ((size_t)y0 * (size_t)w + (size_t)i);
+            for (int q = 0; q < 3; q++) to[q] = (uint8_t)(sum[q] > 0 ? sum[q] < 1 ? sum[q] * 255 + 0.5f : 255 : 0);
         }
     }
     free(block);
@@ -246,7 +247,7 @@ orl_err orl_bench_plot(const orl_bench *b, const char *path, const char *title)
     }
     if (best >= 0) labels[best] = label[best];
     snprintf(head, sizeof head, "%s: error over time of every setting, one thread", title);
-    orl_plot_svg(&svg, series, n, &(orl_plot_style){ .title = head, .x_label = "milliseconds", .y_label = "PSNR, dB", .log_x = 1, .dots = 1, .no_lines = 1, .labels = labels, .w = 900, .h = 520 });
+    orl_plot_svg(&svg, series, n, &(orl_plot_style){ .title = head, .x_label = "milliseconds", .y_label = "PSNR, dB", .log_x = 1, .dots = 1, .no_lines = 1, .key_above = 1, .labels = labels, .w = 900, .h = 520 });
     orl_err e = orl_text_write(&svg, path);
     orl_text_free(&svg);
     return e;

@@ -28,17 +28,19 @@ static double change(const desk *d) { return orl_bench_psnr(d->picture[0], d->pi
 static orl_err render(const desk *d, const char *name, unsigned bits, int same)
 {
     orl_widen *w = d->w;
-    double best[2] = { INFINITY, INFINITY };
+    double best[2] = { INFINITY, INFINITY }, spent = 0;
     orl_err e = ORL_OK;
     w->same = 0;
     for (int i = 0; !e && i < 2 && same; i++) e = orl_widen_render(w, d->photo, d->picture[0]);       /* the second is kept */
-    for (int i = 0; !e && i < 2 * ORL_BENCH_RUNS; i++) {
+    for (int i = 0; !e && (i < 2 * ORL_BENCH_RUNS || (spent < 0.4 && i < 400)); i++) {
         const int without = i & 1;
         w->config.no_skip = w->wide.no_skip = without ? bits & ~(unsigned)ORL_SKIP_SAME : 0;
         w->same = without ? 0 : same;
         double a = orl_seconds();
         e = orl_widen_render(w, d->photo, d->picture[without]);
-        best[without] = fmin(best[without], orl_seconds() - a);
+        a = orl_seconds() - a;
+        best[without] = fmin(best[without], a);
+        spent += a;
     }
     w->config.no_skip = w->wide.no_skip = 0;
     w->same = 0;
