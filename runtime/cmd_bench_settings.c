@@ -247,7 +247,7 @@ orl_err orl_bench_plot(const orl_bench *b, const char *path, const char *title)
     }
     if (best >= 0) labels[best] = label[best];
     snprintf(head, sizeof head, "%s: error over time of every setting, one thread", title);
-    orl_plot_svg(&svg, series, n, &(orl_plot_style){ .title = head, .x_label = "milliseconds", .y_label = "PSNR, dB", .log_x = 1, .dots = 1, .no_lines = 1, .key_above = 1, .labels = labels, .w = 900, .h = 520 });
+    orl_plot_svg(&svg, series, n, &(orl_plot_style){ .title = head, .x_label = "milliseconds", .y_label = "PSNR from the reference, dB", .log_x = 1, .dots = 1, .no_lines = 1, .key_above = 1, .labels = labels, .w = 900, .h = 520 });
     orl_err e = orl_text_write(&svg, path);
     orl_text_free(&svg);
     return e;
