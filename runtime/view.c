@@ -629,7 +629,7 @@ static void look_ahead(orl_shade_in *in, const uint8_t *at, int step)
     }
 }
 
-/* What will be shaded CHUNK pixels later. */
+/* What will be shaded soon. */
 static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, size_t at, orl_shade_in *in)
 {
     const size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
@@ -646,8 +646,8 @@ static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, 
     for (int g = 0; shadows && g < 2; g++) look_ahead(in, (const uint8_t *)v->phi[g] + at * ORL_PHI_GROUP, ORL_PHI_GROUP);
 }
 
-/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. */
-static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t *const sky[3], uint8_t *rgb)
+/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. ahead: pixels from here to what will be shaded soon. */
+static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, int ahead, const int16_t *const sky[3], uint8_t *rgb)
 {
     const sky_grid *g = v->sky;
     const int all = (v->no_skip & ORL_SKIP_SKY) != 0;
@@ -668,7 +668,7 @@ static void shade_span(const orl_view *v, const orl_view_light *l, const orl_ker
             in.albedo[c] = v->albedo[c] + at;
             in.sky[c] = sky[c];
         }
-        if (at + 2 * CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + CHUNK, &in);
+        if (at + (size_t)ahead + CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + (size_t)ahead, &in);
         vis_of(k, v, &l->vis, 1, at, runs, padded_n, vis);
         if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, runs, &l->tab, padded_n, s);
         k->shade(&in, &l->tab, padded_n, whole ? to : tail);
@@ -692,8 +692,9 @@ void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu
     int left = (x0 + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, right = x1 / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
     if (left >= right) left = right = 0;
     const int16_t *const rows[3] = { sky[0], sky[1], sky[2] };
-    shade_span(v, l, &k, y, 0, left, rows, rgb);
-    shade_span(v, l, &k, y, right, v->w, rows, rgb);
+    const int ahead = left < right ? v->stride : CHUNK;        /* the next row's, where what is between is left out */
+    shade_span(v, l, &k, y, 0, left, ahead, rows, rgb);
+    shade_span(v, l, &k, y, right, v->w, ahead, rows, rgb);
 }
 
 void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)

@@ -268,7 +268,8 @@ int cmd_bench(int argc, char **argv)
         }
     if (e) { fprintf(stderr, "oriel-train bench: %s\n", orl_error_text()); return 2; }
     const int picture = o.scene || o.view.pose || o.out;
-    if (optind != argc || (picture && !(o.scene && o.view.pose && o.out))) { fputs(USAGE, stderr); return 2; }
+    if (optind != argc) { fputs(USAGE, stderr); return 2; }
+    if (picture && !(o.scene && o.view.pose && o.out)) { fprintf(stderr, "oriel-train bench: --scene, --pose and --out go together\n"); return 2; }
     e = picture ? exact(&o) : bench(o.threads);
     if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
     return e ? 1 : 0;

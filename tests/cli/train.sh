@@ -285,7 +285,7 @@ if read -r _ lens < <(grep '^1 ' "$place/sparse_test/0/cameras.txt") && read -r 
     "$T" bench $place_of --rays 2 --out "$W/hard.exr" --sigma 0.05 --threads 2 >"$W/out" 2>"$W/err" || fail "bench --scene --sigma: $(cat "$W/err")"
     soft=$(db "$W/soft.png" '4 rays, traced float') hard=$(db "$W/hard.exr" '4 rays, traced float') coarse=$(db "$W/hard.exr" '1 ray, quarter size, traced float')
     awk "BEGIN { exit !($soft > 20 && $hard > $soft && $hard > $coarse + 3) }" || fail "bench --reference: the exact picture is $soft dB away, with a hard surface $hard, at its coarsest $coarse"
-    expect 2 'Usage' "$T" bench --scene "$W/ref.oriel"
+    expect 2 'go together' "$T" bench --scene "$W/ref.oriel"
     expect 1 'no.ckpt' "$T" bench $place_of --checkpoint "$W/no.ckpt" --out "$W/no.png"
 else
     fail "no test camera to bench"

@@ -19,6 +19,7 @@ static void fill(int cov)
     d.ceilings = 1;
     d.traced = 0;
     d.shadows = 1;
+    d.all = 0;
     d.tab.gain_shift = 0;               /* lights as they are, none that dazzles */
     for (int a = 0; a < 2; a++) d.box[a] = ZOOM;
     memset(d.column, 0, sizeof d.column);
