@@ -44,9 +44,17 @@ void orl_text_free(orl_text *t)
     *t = (orl_text){ 0 };
 }
 
+/* 10^e: exact up to 22, and its inverse rounded once. */
+static double ten_to(int e)
+{
+    double v = 1;
+    for (int i = e < 0 ? -e : e; i > 0; i--) v *= 10;
+    return e < 0 ? 1 / v : v;
+}
+
 double orl_plot_ticks(double lo, double hi, int most, double *first)
 {
-    double raw = (hi - lo) / most, ten = pow(10, floor(log10(raw))), step = ten;
+    double raw = (hi - lo) / most, ten = ten_to((int)floor(log10(raw))), step = ten;
     for (int k = 0; step < raw * (1 - 1e-9) && k < 3; k++) step = ten * (k == 0 ? 2 : k == 1 ? 5 : 10);
     *first = floor(lo / step + 1e-9) * step;
     return step;
@@ -111,8 +119,8 @@ static void log_ticks(const canvas *c, int y)
         for (int m = 1; m <= 5; m += m == 1 ? 1 : 3) {
             double v = d + log10(m);
             if (v < lo - 1e-9 || v > hi + 1e-9 || (m > 1 && wide > (y ? 2 : 3))) continue;
-            if (y) y_tick(c, v, m * pow(10, d));
-            else x_tick(c, v, m * pow(10, d), 1);
+            if (y) y_tick(c, v, m * ten_to(d));
+            else x_tick(c, v, m * ten_to(d), 1);
         }
 }
 

@@ -7,10 +7,11 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include "oriel/colmap.h"
+#include "oriel/image.h"
 #include "oriel/model.h"
 #include "oriel/parallel.h"
 #include "oriel/scene.h"
-#include "runtime/commands.h"
 #include "trainer/commands.h"
 #include "trainer/encoding.h"
 #include "trainer/mlp.h"
@@ -177,7 +178,7 @@ static orl_err bench(int threads)
 
 /* ---- the exact picture */
 
-typedef struct { const char *scene, *checkpoint, *out; orl_view_request view; double sigma; int rays, light, threads; } exact_options;
+typedef struct { const char *scene, *checkpoint, *pose, *out; double sigma; int w, h, rays, light, threads; } exact_options;
 
 static int ends(const char *name, const char *with) { size_t n = strlen(name), m = strlen(with); return n > m && !strcmp(name + n - m, with); }
 
@@ -195,25 +196,29 @@ static orl_err write_exact(const char *path, orl_imagef *im)
     return e;
 }
 
-/* The wide view of a pose, as `oriel bench` asks for it, in the light of one training photo. */
+/* The last view of a pose file, the wide one where there are two, in the light of one training photo. */
 static orl_err exact(const exact_options *o)
 {
     orl_scene scene = { 0 };
     orl_model *model = NULL;
     orl_imagef im = { 0 };
-    orl_view_pose from, to;
+    orl_view_pose view[2];
+    int views = 0;
     orl_light *light = malloc(sizeof *light);
     char path[4096];
     snprintf(path, sizeof path, "%s.ckpt", o->scene);
     orl_err e = light ? orl_scene_open(o->scene, &scene) : orl_fail(ORL_E_MEMORY, "bench: no memory");
-    if (!e) e = orl_views_find(&o->view, o->view.pose, 0, 0, &from, &to);
+    if (!e) e = orl_posefile_read(o->pose, view, 2, &views);
+    if (!e && views < 1) e = orl_fail(ORL_E_FORMAT, "%s: no view in it", o->pose);
     if (!e && (uint32_t)o->light >= scene.ncodes) e = orl_fail(ORL_E_RANGE, "--light %d: %s has the lights of %u photos", o->light, o->scene, scene.ncodes);
     if (!e) e = orl_model_load(o->checkpoint ? o->checkpoint : path, &model);
-    if (!e) e = orl_imagef_alloc(&im, to.cam.w, to.cam.h, 3);
+    orl_camera cam = { 0 };
+    if (!e) cam = o->w ? orl_camera_resized(&view[views - 1].cam, o->w, o->h) : view[views - 1].cam;
+    if (!e) e = orl_imagef_alloc(&im, cam.w, cam.h, 3);
     if (!e) {
         double t = cpu_now();
         orl_light_decode(orl_model_light(model), scene.codes + (size_t)o->light * ORL_CODE, light);
-        orl_model_exact(model, &to.cam, &to.pose, light, o->rays, (float)o->sigma, o->threads, im.px);
+        orl_model_exact(model, &cam, &view[views - 1].pose, light, o->rays, (float)o->sigma, o->threads, im.px);
         t = cpu_now() - t;
         e = write_exact(o->out, &im);
         if (!e && json) printf("{\"name\": \"exact picture\", \"seconds\": %.4g, \"rays\": %d, \"sigma\": %g, \"light\": %d, \"width\": %d, \"height\": %d}\n", t, o->rays * o->rays, o->sigma, o->light, im.w, im.h);
@@ -226,16 +231,37 @@ static orl_err exact(const exact_options *o)
     return e;
 }
 
+static int number(const char *text, double lo, double hi, double *out)
+{
+    char *end;
+    *out = strtod(text, &end);
+    return end != text && !*end && *out >= lo && *out <= hi;
+}
+
+static int whole(const char *text, int lo, int hi, int *out)
+{
+    double v;
+    if (!number(text, lo, hi, &v) || v != floor(v)) return 0;
+    *out = (int)v;
+    return 1;
+}
+
+static int size(const char *text, int *w, int *h)
+{
+    int used = 0;
+    return sscanf(text, "%5dx%5d%n", w, h, &used) == 2 && !text[used] && *w >= 8 && *h >= 8 && *w <= 16384 && *h <= 16384;
+}
+
 static const char USAGE[] =
     "Usage: oriel-train bench [options]\n"
     "       oriel-train bench --scene FILE --pose FILE -o PICTURE [options]\n"
     "CPU time of what training is made of: encodings, MLP, optimiser; ratios measured in this run. Or the exact picture of a\n"
     "pose, the float model volume-rendered, for `oriel bench --reference PICTURE`.\n\n"
     "      --scene FILE       with its checkpoint beside it\n"
-    "      --pose FILE        as of oriel; the wide view is rendered\n"
+    "      --pose FILE        as of oriel; its last view is rendered (one alone: that of `oriel bench --widen 1`)\n"
     "  -o, --out PICTURE      PNG, or linear EXR\n"
     "      --checkpoint FILE  default: SCENE.ckpt\n"
-    "      --widen F, --size WxH   of the wide view, as of oriel\n"
+    "      --size WxH         of the picture\n"
     "      --light N          light of the Nth training photo; 0\n"
     "      --rays N           N x N rays a pixel, 1 to 16; 4\n"
     "      --sigma F          softness of the surface, fine cells; 0.4, as it was trained (0.03: as good as hard)\n"
@@ -246,31 +272,29 @@ static const char USAGE[] =
 int cmd_bench(int argc, char **argv)
 {
     static const struct option LONG[] = {
-        { "scene", 1, 0, 's' }, { "pose", 1, 0, 'p' }, { "out", 1, 0, 'o' }, { "checkpoint", 1, 0, 'c' }, { "widen", 1, 0, 'w' }, { "size", 1, 0, 'z' }, { "light", 1, 0, 'l' }, { "rays", 1, 0, 'r' }, { "sigma", 1, 0, 'S' },
+        { "scene", 1, 0, 's' }, { "pose", 1, 0, 'p' }, { "out", 1, 0, 'o' }, { "checkpoint", 1, 0, 'c' }, { "size", 1, 0, 'z' }, { "light", 1, 0, 'l' }, { "rays", 1, 0, 'r' }, { "sigma", 1, 0, 'S' },
         { "threads", 1, 0, 't' }, { "json", 0, 0, 'j' }, { "help", 0, 0, 'h' }, { 0 } };
-    exact_options o = { .view.otherwise = 1.8, .rays = 4, .sigma = ORL_MODEL_SIGMA, .threads = 1 };
-    orl_err e = ORL_OK;
-    int c;
-    while (!e && (c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) switch (c) {
+    exact_options o = { .rays = 4, .sigma = ORL_MODEL_SIGMA, .threads = 1 };
+    int c, ok = 1;
+    while (ok && (c = getopt_long(argc, argv, "o:h", LONG, NULL)) != -1) switch (c) {
         case 's': o.scene = optarg; break;
-        case 'p': o.view.pose = optarg; break;
+        case 'p': o.pose = optarg; break;
         case 'o': o.out = optarg; break;
         case 'c': o.checkpoint = optarg; break;
-        case 'w': e = orl_option_real("--widen", optarg, 0.1, 20, &o.view.widen); break;
-        case 'z': e = orl_option_size("--size", optarg, &o.view.w, &o.view.h); break;
-        case 'l': e = orl_option_int("--light", optarg, 0, 1 << 30, &o.light); break;
-        case 'r': e = orl_option_int("--rays", optarg, 1, 16, &o.rays); break;
-        case 'S': e = orl_option_real("--sigma", optarg, 0.01, 10, &o.sigma); break;
-        case 't': e = orl_option_int("--threads", optarg, 1, GRID_THREADS, &o.threads); break;
+        case 'z': ok = size(optarg, &o.w, &o.h); break;
+        case 'l': ok = whole(optarg, 0, 1 << 30, &o.light); break;
+        case 'r': ok = whole(optarg, 1, 16, &o.rays); break;
+        case 'S': ok = number(optarg, 0.01, 10, &o.sigma); break;
+        case 't': ok = whole(optarg, 1, GRID_THREADS, &o.threads); break;
         case 'j': json = 1; break;
         case 'h': fputs(USAGE, stdout); return 0;
         default: fputs(USAGE, stderr); return 2;
         }
-    if (e) { fprintf(stderr, "oriel-train bench: %s\n", orl_error_text()); return 2; }
-    const int picture = o.scene || o.view.pose || o.out;
+    if (!ok) { fprintf(stderr, "oriel-train bench: %s is out of range (--help tells more)\n", optarg); return 2; }
+    const int picture = o.scene || o.pose || o.out;
     if (optind != argc) { fputs(USAGE, stderr); return 2; }
-    if (picture && !(o.scene && o.view.pose && o.out)) { fprintf(stderr, "oriel-train bench: --scene, --pose and --out go together\n"); return 2; }
-    e = picture ? exact(&o) : bench(o.threads);
+    if (picture && !(o.scene && o.pose && o.out)) { fprintf(stderr, "oriel-train bench: --scene, --pose and --out go together\n"); return 2; }
+    orl_err e = picture ? exact(&o) : bench(o.threads);
     if (e) fprintf(stderr, "oriel-train: %s\n", orl_error_text());
     return e ? 1 : 0;
 }

@@ -277,8 +277,8 @@ expect 1 'bad.tsv: line 2: x or y' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
 expect 1 'bad.tsv: no point' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
 # bench: the exact picture; the runtime's finest setting is nearer to it than its coarsest, and nearer still where the model's surface is taken as hard
 if read -r _ lens < <(grep '^1 ' "$place/sparse_test/0/cameras.txt") && read -r _ q0 q1 q2 q3 x y z _ < <(grep '^1 ' "$place/sparse_test/0/images.txt"); then
-    echo "view $lens $q0 $q1 $q2 $q3 $x $y $z" >"$W/pose.txt"
-    place_of="--scene $W/ref.oriel --pose $W/pose.txt --widen 1.2 --size 96x72"
+    for name in photo wide; do echo "$name $lens $q0 $q1 $q2 $q3 $x $y $z"; done >"$W/pose.txt"
+    place_of="--scene $W/ref.oriel --pose $W/pose.txt --size 96x72"
     db() { "$B/oriel" bench $place_of --reference "$1" --json 2>"$W/err" | grep -oE "\"setting: $2\".*\"error_db\": [0-9.]+" | grep -oE '[0-9.]+$' || { echo 0; cat "$W/err" >&2; }; }
     "$T" bench $place_of --rays 2 --out "$W/soft.png" --json >"$W/exact.json" 2>"$W/err" || fail "bench --scene: $(cat "$W/err")"
     json "$W/exact.json" name seconds rays sigma light width height
@@ -286,6 +286,7 @@ if read -r _ lens < <(grep '^1 ' "$place/sparse_test/0/cameras.txt") && read -r 
     soft=$(db "$W/soft.png" '4 rays, traced float') hard=$(db "$W/hard.exr" '4 rays, traced float') coarse=$(db "$W/hard.exr" '1 ray, quarter size, traced float')
     awk "BEGIN { exit !($soft > 20 && $hard > $soft && $hard > $coarse + 3) }" || fail "bench --reference: the exact picture is $soft dB away, with a hard surface $hard, at its coarsest $coarse"
     expect 2 'go together' "$T" bench --scene "$W/ref.oriel"
+    expect 2 '17 is out of range' "$T" bench $place_of --out "$W/no.png" --rays 17
     expect 1 'no.ckpt' "$T" bench $place_of --checkpoint "$W/no.ckpt" --out "$W/no.png"
 else
     fail "no test camera to bench"
