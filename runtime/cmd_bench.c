@@ -80,7 +80,10 @@ void orl_bench_put(const orl_bench *b, const orl_bench_row *r)
         if (r->bytes) printf(", \"bytes\": %zu", r->bytes);
         if (isfinite(ratio)) printf(", \"ratio\": %.3g, \"against\": \"memcpy\"", ratio);
         if (!isnan(r->error_db)) printf(", \"error_db\": %.2f", fmin(r->error_db, ORL_BENCH_SAME_DB));
-        if (r->error_of) printf(", \"error_of\": \"%s\"", r->error_of);
+        if (r->error_of) {
+            printf(", \"error_of\": ");
+            orl_json_string(r->error_of);
+        }
         printf("}\n");
     } else {
         printf("%-44s %-8s %10.3f ms", r->name, r->variant ? r->variant : "", 1e3 * r->seconds);

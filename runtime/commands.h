@@ -39,6 +39,7 @@ orl_err orl_place_open(const char *path, orl_scene *out);
 /* The rows of `oriel bench --mlp`. */
 orl_err orl_bench_mlp(int json);
 double orl_seconds(void);       /* monotonic */
+void orl_json_string(const char *s);    /* to standard output, in quotes, escaped */
 
 /* Part of `oriel bench`: conversion kernels. say gets a row: name, variant, seconds, bytes read and written. */
 typedef void orl_bench_say(void *user, const char *name, const char *variant, double seconds, size_t bytes);

@@ -56,6 +56,8 @@ for skip in photo sky shadow same; do grep -qE "\"name\": \"skip: $skip, .*\"wit
 for skip in empty bake; do grep -qE "\"name\": \"skip: $skip, .*(\"identical\": true|\"change_db\": [3-9][0-9])" "$W/out" || fail "bench: skip $skip: $(grep "skip: $skip" "$W/out")"; done
 if command -v python3 >/dev/null; then
     python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json of scene and view is not JSON"
+    cp "$W/wide.png" "$W/a \"name\".png"
+    "$O" bench $scene $pose --reference "$W/a \"name\".png" --json | python3 -c 'import json, sys; sys.exit(not any(json.loads(l).get("error_of", "").endswith("a \"name\".png") for l in sys.stdin))' || fail "bench --json: the reference's name"
     python3 -c 'import sys, xml.dom.minidom as x; c = x.parse(sys.argv[1]).getElementsByTagName("circle"); sys.exit(len(c) < 30)' "$W/settings.svg" || fail "bench --svg: $(head -c 300 "$W/settings.svg")"
 fi
 [ "$(grep -c '>4 rays, traced, blended</text>' "$W/settings.svg")" = 1 ] && grep -q 'kernels ref, a picture' "$W/settings.svg" || fail "bench --svg: what it names"
