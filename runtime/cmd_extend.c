@@ -89,7 +89,7 @@ static orl_err extend(const options *o)
             goto done;
         }
     }
-    orl_widen_config c = { .scene = &scene, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .mask = mask.px, .blend = !o->no_blend,
+    orl_widen_config c = { .scene = &scene, .photo = from.cam, .wide = to.cam, .photo_pose = from.pose, .wide_pose = to.pose, .mask = mask.px, .blend = !o->no_blend, .no_skip = ORL_SKIP_SAME,      /* one picture */
                            .threads = o->threads, .cpu = o->cpu };
     size_t need = orl_widen_need(&c);
     block = orl_widen_block(need);

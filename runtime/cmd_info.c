@@ -9,17 +9,6 @@ static const char HELP[] =
     "Usage: oriel info [--json] SCENE_FILE\nWhat is in a scene file, or a baked one: sections with their bytes, extent, bricks, dimensions in use.\n\n"
     "  --json   one JSON object\n  --help   this text\n";
 
-static void json_string(const char *s)
-{
-    putchar('"');
-    for (; *s; s++) {
-        if (*s == '"' || *s == '\\') printf("\\%c", *s);
-        else if ((unsigned char)*s < 32 || (unsigned char)*s > 126) printf("\\u%04x", (unsigned char)*s);
-        else putchar(*s);
-    }
-    putchar('"');
-}
-
 static int any(const float *v, size_t n)
 {
     for (size_t i = 0; i < n; i++)
@@ -65,13 +54,13 @@ int orl_cmd_info(int argc, char **argv)
     uint64_t total = (uint64_t)s.nb[0] * s.nb[1] * s.nb[2];
     if (json) {
         printf("{\"file\": ");
-        json_string(path);
+        orl_json_string(path);
         printf(", \"title\": ");
-        json_string(s.title);
+        orl_json_string(s.title);
         printf(", \"bytes\": %zu, \"sections\": [", s.map_bytes);
         for (int i = 0; i < n; i++) {
             printf("%s{\"tag\": ", i ? ", " : "");
-            json_string(part[i].tag);
+            orl_json_string(part[i].tag);
             printf(", \"offset\": %" PRIu64 ", \"bytes\": %" PRIu64 ", \"crc\": %" PRIu32 "}", part[i].offset, part[i].bytes, part[i].crc);
         }
         printf("], \"grid\": [%u, %u, %u], \"cell_world\": %.9g, \"bricks\": %u, \"textures\": %u, \"horizon\": %s, \"facings\": %d, \"backdrop\": %.9g, \"shadow_dims\": %d, \"env_dims\": %d, \"sky_dims\": %d, \"codes\": %u, \"world_to_grid\": [",

@@ -6,6 +6,7 @@
 #include "runtime/baked.h"
 #include "runtime/commands.h"
 #include "runtime/run.h"
+#include "runtime/skips.h"
 
 static const char HELP[] =
     "Usage: oriel run (--scene FILE --pose FILE | --view FILE) --source SOURCE --sink SINK [OPTION]...\n"
@@ -22,7 +23,8 @@ static const char HELP[] =
     "  --frames N         stop after N pictures\n"
     "  --adapt-every N    find the light in every Nth picture; 1\n"
     "  --no-blend         the render alone\n"
-    "  --no-skip          shade also what the photo covers: the same picture, later\n"
+    "  --no-skip[=LIST]   do also what is skipped, all of it or of photo,sky,shadow,same,empty:\n"
+    "                     the same picture, later\n"
     "  --realtime         hold back to the source's frame rate\n"
     "  --report           pictures, time of each stage, on standard error\n"
     "  --threads N        0: one per core\n"
@@ -33,8 +35,8 @@ typedef struct {
     const char *scene, *baked, *source, *sink;
     orl_view_request view;
     orl_run_options run;
-    int no_blend, no_skip, report, threads;
-    unsigned cpu;
+    int no_blend, report, threads;
+    unsigned no_skip, cpu;
 } options;
 
 static int parse(int argc, char **argv, options *o)
@@ -42,7 +44,7 @@ static int parse(int argc, char **argv, options *o)
     static const struct option TABLE[] = {
         { "scene", required_argument, NULL, 's' }, { "pose", required_argument, NULL, 'p' }, { "view", required_argument, NULL, 'v' }, { "source", required_argument, NULL, 'S' }, { "sink", required_argument, NULL, 'D' },
         { "widen", required_argument, NULL, 'w' }, { "size", required_argument, NULL, 'z' }, { "frames", required_argument, NULL, 'n' }, { "adapt-every", required_argument, NULL, 'a' },
-        { "no-blend", no_argument, NULL, 'b' }, { "no-skip", no_argument, NULL, 'k' }, { "realtime", no_argument, NULL, 'T' }, { "report", no_argument, NULL, 'r' }, { "threads", required_argument, NULL, 't' },
+        { "no-blend", no_argument, NULL, 'b' }, { "no-skip", optional_argument, NULL, 'k' }, { "realtime", no_argument, NULL, 'T' }, { "report", no_argument, NULL, 'r' }, { "threads", required_argument, NULL, 't' },
         { "cpu", required_argument, NULL, 'u' }, { "help", no_argument, NULL, 'h' }, { 0 } };
     int first = 1, n = 0;
     orl_err e = ORL_OK;
@@ -56,7 +58,7 @@ static int parse(int argc, char **argv, options *o)
         case 'n': e = orl_option_int("--frames", optarg, 1, 1 << 30, &n); o->run.frames = n; break;
         case 'a': e = orl_option_int("--adapt-every", optarg, 1, 1 << 30, &o->run.adapt_every); break;
         case 'b': o->no_blend = 1; break;
-        case 'k': o->no_skip = 1; break;
+        case 'k': e = orl_skips_parse(optarg, &o->no_skip); break;
         case 'T': o->run.realtime = 1; break;
         case 'r': o->report = 1; break;
         case 't': e = orl_option_int("--threads", optarg, 0, 64, &o->threads); break;
@@ -98,10 +100,12 @@ static orl_err run(const options *o)
     orl_run_figures figures = { 0 };
     orl_image photo = { 0 }, wide = { 0 };
     void *block = NULL;
+    int32_t *crowded = NULL;
     char line[256] = "";
     orl_err e = o->baked ? orl_baked_open(o->baked, &baked) : orl_place_open(o->scene, &scene);
     if (e) return e;
     if ((e = orl_source_open(o->source, &source))) goto done;
+    if (!o->baked && o->no_skip & ORL_SKIP_EMPTY && (e = orl_skips_crowd(&scene, &crowded))) goto done;
     const orl_source_info *i = &source->info;
     e = o->baked ? orl_baked_cameras(&baked, o->source, i->w, i->h, &from, &to) : orl_views_find(&o->view, o->source, i->w, i->h, &from, &to);
     if (e) goto done;
@@ -123,6 +127,7 @@ static orl_err run(const options *o)
 done:
     orl_source_close(source);
     free(block);
+    free(crowded);
     orl_image_free(&photo);
     orl_image_free(&wide);
     orl_scene_close(&scene);

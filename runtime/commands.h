@@ -39,6 +39,7 @@ orl_err orl_place_open(const char *path, orl_scene *out);
 /* The rows of `oriel bench --mlp`. */
 orl_err orl_bench_mlp(int json);
 double orl_seconds(void);       /* monotonic */
+void orl_json_string(const char *s);    /* to standard output, in quotes, escaped */
 
 /* Seconds from a pose and a photo to the first whole picture (cmd_bench_pose.c), the best of some runs: views, light without the wide view's sun, that sun, the rest; and all. */
 typedef struct { double views, light, sun, picture, all; } orl_pose_seconds;

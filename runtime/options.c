@@ -61,6 +61,17 @@ int orl_option_view(int c, orl_view_request *v, orl_err *e)
     return 0;
 }
 
+void orl_json_string(const char *s)
+{
+    putchar('"');
+    for (; *s; s++) {
+        if (*s == '"' || *s == '\\') printf("\\%c", *s);
+        else if ((unsigned char)*s < 32 || (unsigned char)*s > 126) printf("\\u%04x", (unsigned char)*s);
+        else putchar(*s);
+    }
+    putchar('"');
+}
+
 double orl_seconds(void)
 {
     struct timespec t;

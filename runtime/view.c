@@ -626,11 +626,11 @@ orl_view_light *orl_view_light_make(const orl_view *v, const orl_light *l, void 
     return t;
 }
 
-/* Sun visibility of n pixels from `at` on, Q15, by a view's horizons and ceilings, and with_fix by what a traced sun has over the horizons. */
-static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, int n, int16_t *vis)
+/* Sun visibility of n pixels from `at` on, Q15, by a view's horizons and ceilings, and with_fix by what a traced sun has over the horizons. cov: of these pixels. */
+static void vis_of(const orl_kernels *k, const orl_view *v, const orl_vis_tab *t, int with_fix, size_t at, const uint8_t *cov, int n, int16_t *vis)
 {
     size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
-    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL, v->cov + at };
+    orl_vis_in in = { { v->horizon + i0, v->horizon + i1 }, { NULL, NULL }, NULL, cov };
     if (v->ceiling) in.ceiling[0] = v->ceiling + i0, in.ceiling[1] = v->ceiling + i1;
     else if (with_fix) in.fix = v->fix + at;
     k->vis(&in, t, n, vis);
@@ -729,7 +729,7 @@ static void trace_band(const trace_job *j, int begin, int end)
             int16_t over[CHUNK];
             size_t from = (size_t)y * (size_t)v->stride + (size_t)x;
             int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-            vis_of(&j->k, v, &j->vis, 0, from, n, over);
+            vis_of(&j->k, v, &j->vis, 0, from, v->cov + from, n, over);
             for (int i = 0; i < n; i++) {
                 int8_t *f = &v->fix[from + (size_t)i];
                 *f = (int8_t)(*f == NOTHING ? 0 : *f == SEEN ? (32767 - over[i] + 129) / 258 : -((over[i] + 129) / 258));
@@ -747,8 +747,8 @@ static void look_up_row(const trace_job *j, int y)
         int16_t vis[CHUNK], over[CHUNK];
         size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
         int n = v->stride - x < CHUNK ? v->stride - x : CHUNK;
-        vis_of(&j->k, v, &j->vis, 0, at, n, vis);
-        vis_of(&j->k, &open, &j->between, 0, at, n, over);
+        vis_of(&j->k, v, &j->vis, 0, at, v->cov + at, n, vis);
+        vis_of(&j->k, &open, &j->between, 0, at, v->cov + at, n, over);
         for (int i = 0; i < n; i++) v->fix[at + (size_t)i] = (int8_t)((vis[i] - over[i] + (vis[i] < over[i] ? -129 : 129)) / 258);
     }
 }
@@ -900,7 +900,7 @@ static void look_ahead(orl_shade_in *in, const uint8_t *at, int step)
     }
 }
 
-/* What will be shaded CHUNK pixels later. */
+/* What will be shaded soon. */
 static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, size_t at, orl_shade_in *in)
 {
     const size_t i0 = (size_t)t->i0 * plane_size(v) + at, i1 = (size_t)t->i1 * plane_size(v) + at;
@@ -917,11 +917,14 @@ static void look_ahead_of(const orl_view *v, const orl_vis_tab *t, int shadows, 
     for (int g = 0; shadows && g < 2; g++) look_ahead(in, (const uint8_t *)v->phi[g] + at * ORL_PHI_GROUP, ORL_PHI_GROUP);
 }
 
-/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. */
-static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, const int16_t *const sky[3], uint8_t *rgb)
+/* Columns [x, end) of a row; x is a multiple of ORL_KERNEL_STEP, end one or the row's. ahead: pixels from here to what will be shaded soon. */
+static void shade_span(const orl_view *v, const orl_view_light *l, const orl_kernels *k, int y, int x, int end, int ahead, const int16_t *const sky[3], uint8_t *rgb)
 {
     const sky_grid *g = v->sky;
-    int shadows = 0;
+    const int all = (v->no_skip & ORL_SKIP_SKY) != 0;
+    int shadows = (v->no_skip & ORL_SKIP_SHADOW) != 0;
+    uint8_t everywhere[CHUNK];
+    if (all) memset(everywhere, 255, sizeof everywhere);
     for (int i = 0; i < ORL_SHADOW_DIM; i++) shadows |= v->phi_scale[i] > 0;
     for (int n; x < end; x += n) {
         int16_t s[CHUNK], vis[CHUNK];
@@ -929,15 +932,16 @@ static void shade_span(const orl_view *v, const orl_view_light *l, const orl_ker
         uint8_t tail[CHUNK * 3], *to = rgb + 3 * (size_t)x;
         n = end - x < CHUNK ? end - x : CHUNK;
         int padded_n = (n + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, whole = padded_n == n;        /* the row's padding makes room */
-        orl_shade_in in = { .open = v->open + at, .cov = v->cov + at, .vis = vis, .s = shadows ? s : NULL, .sky_log2 = g->log2, .x = x };
+        orl_shade_in in = { .open = v->open + at, .cov = v->cov + at, .vis = vis, .s = shadows ? s : NULL, .sky_log2 = g->log2, .x = x, .all = all };
+        const uint8_t *runs = all ? everywhere : in.cov;
         for (int c = 0; c < 3; c++) {
             in.normal[c] = v->normal[c] + at;
             in.albedo[c] = v->albedo[c] + at;
             in.sky[c] = sky[c];
         }
-        if (at + 2 * CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + CHUNK, &in);
-        vis_of(k, v, &l->vis, 1, at, padded_n, vis);
-        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, v->cov + at, &l->tab, padded_n, s);
+        if (at + (size_t)ahead + CHUNK < plane_size(v)) look_ahead_of(v, &l->vis, shadows, at + (size_t)ahead, &in);
+        vis_of(k, v, &l->vis, 1, at, runs, padded_n, vis);
+        if (shadows) k->shadow((const int8_t *const[]){ v->phi[0] + at * ORL_PHI_GROUP, v->phi[1] + at * ORL_PHI_GROUP }, runs, &l->tab, padded_n, s);
         k->shade(&in, &l->tab, padded_n, whole ? to : tail);
         if (!whole) memcpy(to, tail, 3 * (size_t)n);
     }
@@ -959,8 +963,9 @@ void orl_view_shade_row(const orl_view *v, const orl_view_light *l, unsigned cpu
     int left = (x0 + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, right = x1 / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
     if (left >= right) left = right = 0;
     const int16_t *const rows[3] = { sky[0], sky[1], sky[2] };
-    shade_span(v, l, &k, y, 0, left, rows, rgb);
-    shade_span(v, l, &k, y, right, v->w, rows, rgb);
+    const int ahead = left < right ? v->stride : CHUNK;        /* the next row's, where what is between is left out */
+    shade_span(v, l, &k, y, 0, left, ahead, rows, rgb);
+    shade_span(v, l, &k, y, right, v->w, ahead, rows, rgb);
 }
 
 void orl_view_shade(const orl_view *v, const orl_view_light *l, unsigned cpu, int y0, int y1, uint8_t *rgb, size_t row_bytes)

@@ -59,6 +59,8 @@ static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, block
     w->unmasked = orl_arena_take(a, (size_t)s.w * (size_t)s.h);
     w->adapt_work = orl_arena_take(a, orl_adapt_need());
     w->light_block = orl_arena_take(a, orl_view_light_need());
+    w->last_light = orl_arena_take(a, orl_view_light_need());
+    w->kept = c->no_skip & ORL_SKIP_SAME ? NULL : orl_arena_take(a, (size_t)c->wide.w * (size_t)c->wide.h * 3);
     b->small = orl_arena_take(a, c->baked ? orl_view_attach_need(s.w, s.h) : orl_view_need(s.w, s.h));
     b->wide = orl_arena_take(a, c->baked ? orl_view_attach_need(c->wide.w, c->wide.h) : orl_view_need(c->wide.w, c->wide.h));
     b->blend = c->blend ? orl_arena_take(a, orl_blend_need(c->wide.w, c->wide.h)) : NULL;
@@ -123,12 +125,13 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
         e = orl_view_build_some(c->scene, &s, &c->photo_pose, 2, b.wanted, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
         for (int y = 0, x0 = 0, x1 = 0; y < c->wide.h; y++) {
             uint8_t *row = b.wanted + (size_t)y * (size_t)c->wide.w;
-            if (w.blend && !c->no_skip) orl_blend_covered(w.blend, y, &x0, &x1);
+            if (w.blend && !(c->no_skip & ORL_SKIP_PHOTO)) orl_blend_covered(w.blend, y, &x0, &x1);
             memset(row, 1, (size_t)c->wide.w);
             memset(row + x0, 0, (size_t)(x1 - x0));
         }
         if (!e) e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, 2, b.wanted, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
     }
+    w.wide.no_skip = c->no_skip;
     if (e) return e;
     if (w.blend) orl_blend_layers(w.blend, w.wide.cov, (size_t)w.wide.stride);
     for (int i = 0; i < s.w * s.h; i++) {
@@ -283,6 +286,7 @@ static orl_err fit_warm(orl_widen *w)
 
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
 {
+    const orl_sun_trace was = w->wide_sun;
     w->starts = 0;
     observe(w, photo);
     orl_err e = w->adapted ? fit_warm(w) : fit_cold(w);
@@ -294,31 +298,42 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     else if (found) follow_in_small(w);
     if (e) return e;
     if (found && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
+    if (w->tables) memcpy(w->last_light, w->tables, orl_view_light_need());
+    const int first_tables = !w->tables;
     w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
+    if (first_tables || memcmp(&was, &w->wide_sun, sizeof was) || memcmp(w->last_light, w->light_block, orl_view_light_need())) w->same = 0;
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }
 
 /* ---- the picture ---- */
 
-typedef struct { orl_widen *w; uint8_t *out; } shading;
+typedef struct { orl_widen *w; uint8_t *to, *out; } shading;      /* to: shaded into, NULL: kept from the last picture; out: the picture, another than `to` where that is to be kept */
 
 static void shade(void *user, int begin, int end)
 {
     shading *s = user;
     orl_widen *w = s->w;
-    size_t row = (size_t)w->wide.w * 3;
+    const int width = w->wide.w;
+    size_t row = (size_t)width * 3;
     for (int y = begin; y < end; y++) {
         int x0 = 0, x1 = 0;
-        if (w->blend && !w->config.no_skip) orl_blend_covered(w->blend, y, &x0, &x1);
-        orl_view_shade_row(&w->wide, w->tables, w->config.cpu, y, x0, x1, s->out + (size_t)y * row);
+        size_t at = (size_t)y * row;
+        if (w->blend && !(w->config.no_skip & ORL_SKIP_PHOTO)) orl_blend_covered(w->blend, y, &x0, &x1);
+        if (s->to) orl_view_shade_row(&w->wide, w->tables, w->config.cpu, y, x0, x1, s->to + at);
+        if (s->to == s->out) continue;
+        if (x0 >= x1) x0 = x1 = 0;
+        memcpy(s->out + at, w->kept + at, 3 * (size_t)x0);
+        memcpy(s->out + at + 3 * x1, w->kept + at + 3 * x1, 3 * (size_t)(width - x1));
     }
 }
 
 orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out)
 {
-    shading s = { w, out };
     if (!w->tables) return orl_fail(ORL_E_DEGENERATE, "widen: no light yet");
+    /* A light that changes with every picture costs no copy: what is kept is shaded when it stays for the first time. */
+    shading s = { w, !w->kept || !w->same ? out : w->same == 1 ? w->kept : NULL, out };
     orl_parallel(w->config.threads, w->wide.h, 16, shade, &s);
+    if (w->same < 2) w->same++;
     if (w->blend) orl_blend_apply(w->blend, photo, out, w->config.cpu, w->config.threads);
     return ORL_OK;
 }

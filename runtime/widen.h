@@ -15,7 +15,7 @@ typedef struct {
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
     int blend;                          /* 0: the render alone */
-    int no_skip;                        /* march and shade also what the photo covers; the same picture */
+    unsigned no_skip;                   /* ORL_SKIP_* that are not taken (EMPTY is the scene's: oriel/view.h); without PHOTO what it covers is not even marched */
     int threads;
     unsigned cpu;
 } orl_widen_config;
@@ -35,8 +35,10 @@ typedef struct {
     orl_sample *samples; int nsamples;
     int *spot;                          /* [nsamples] pixel of the small view */
     uint8_t *unmasked;                  /* [small pixel] 1 = no person */
-    void *adapt_work, *light_block;
+    void *adapt_work, *light_block, *last_light;        /* last_light: the tables before */
     orl_view_light *tables;
+    uint8_t *kept;                      /* the render of a light that has stayed, before the photo was laid in */
+    int same;                           /* pictures shaded since light or sun changed */
 } orl_widen;
 
 size_t orl_widen_need(const orl_widen_config *c);

@@ -1,6 +1,6 @@
 #!/bin/bash
 # Run time against error of a build folder, ratios measured in one run: `oriel bench` on a small made scene shown at 1920 x 1080, marched and baked, the conversion of camera formats,
-# the int8 network beside XNNPACK and on the boards (counted and estimated), then the trainer's own. --json: one object a row.
+# the int8 network beside XNNPACK, kernels and network on the boards (counted and estimated), then the trainer's own. --json: one object a row.
 #   tests/bench.sh BUILD [--json]
 set -eu
 B=$1

@@ -13,7 +13,7 @@ typedef struct {
     int8_t normal[3][KD_N], fix[KD_N], phi[2][KD_N * ORL_PHI_GROUP];
     uint8_t albedo[3][KD_N], open[KD_N], cov[KD_N], horizon[2][KD_N], ceiling[2][KD_N];
     int16_t vis[KD_N], s[KD_N], sky[3][KD_NODES];
-    int sky_log2, mix_log2, ceilings, traced, shadows;      /* what a view has */
+    int sky_log2, mix_log2, ceilings, traced, shadows, all;      /* what a view has */
     int16_t node[3][2][KD_NODES];
     uint8_t photo[3 * KD_N], render[3 * KD_N];              /* to the warp the photo is KD_SIDE pixels wide and high */
     orl_warp_at at[KD_N];
@@ -114,6 +114,7 @@ static inline void kd_fill(kernel_data *d, uint64_t seed, kd_mode m)
         int u = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[0]), v = kd_in(&r, m, 0, KD_SIDE * 256 - d->box[1]);
         d->at[i] = (orl_warp_at){ (uint32_t)(3 * (KD_SIDE * (v >> 8) + (u >> 8))), (uint8_t)u, (uint8_t)v, 0 };
     }
+    d->all = kd_in(&r, m, 0, 1);
     kd_warp(d);
 }
 
@@ -130,7 +131,7 @@ static inline orl_vis_in kd_vis_struct(const kernel_data *d, int x)
 }
 static inline orl_shade_in kd_in_struct(const kernel_data *d, int x)
 {
-    orl_shade_in in = { .open = d->open + x, .cov = d->cov + x, .vis = d->vis + x, .s = d->shadows ? d->s + x : NULL, .sky_log2 = d->sky_log2, .x = x };
+    orl_shade_in in = { .open = d->open + x, .cov = d->cov + x, .vis = d->vis + x, .s = d->shadows ? d->s + x : NULL, .sky_log2 = d->sky_log2, .x = x, .all = d->all };
     for (int c = 0; c < 3; c++) {
         in.normal[c] = d->normal[c] + x;
         in.albedo[c] = d->albedo[c] + x;

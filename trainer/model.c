@@ -5,6 +5,7 @@
 #include <string.h>
 #include "oriel/parallel.h"
 #include "trainer/checkpoint.h"
+#include "trainer/exact.h"
 
 struct orl_model { surface surf; stage2 s2; };
 
@@ -103,4 +104,30 @@ void orl_model_samples(const orl_model *m, const orl_camera *cam, const orl_pose
     gbuffer_job j = { .m = m, .light = light, .pixel = pixel, .out = out };
     frame_view(&m->surf.f, cam, pose, &j.cam);
     orl_parallel(threads, n, 64, gbuffer_pixels, &j);
+}
+
+typedef struct { const orl_model *m; world_photo cam; const orl_light *light; int side; float sigma, *rgb; } exact_job;
+
+static void exact_pixels(void *user, int begin, int end)
+{
+    const exact_job *j = user;
+    const float o[3] = { (float)j->cam.centre[0], (float)j->cam.centre[1], (float)j->cam.centre[2] };
+    const int rays = j->side * j->side;
+    for (int i = begin; i < end; i++) {
+        float *sum = j->rgb + 3 * (size_t)i;
+        memset(sum, 0, 3 * sizeof *sum);
+        for (int k = 0; k < rays; k++) {
+            float d[3], c[3];
+            world_ray(&j->cam, i % j->cam.w + (k % j->side + 0.5) / j->side, i / j->cam.w + (k / j->side + 0.5) / j->side, d);
+            exact_ray(&j->m->s2, j->light, o, d, (float)(2 * k + 1) * (255.0f / (float)(2 * rays)), j->sigma, c);
+            for (int a = 0; a < 3; a++) sum[a] += c[a] / (float)rays;
+        }
+    }
+}
+
+void orl_model_exact(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int side, float sigma, int threads, float *rgb)
+{
+    exact_job j = { .m = m, .light = light, .side = side, .sigma = sigma, .rgb = rgb };
+    frame_view(&m->surf.f, cam, pose, &j.cam);
+    orl_parallel(threads, cam->w * cam->h, 256, exact_pixels, &j);
 }

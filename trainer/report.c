@@ -9,7 +9,7 @@
 #include "trainer/commands.h"
 #include "trainer/report.h"
 
-void report_section(page *p, const char *id, const char *title) { text_add(&p->body, "<h2 id=\"%s\"><a href=\"#%s\">%s</a></h2>\n", id, id, title); }
+void report_section(page *p, const char *id, const char *title) { orl_text_add(&p->body, "<h2 id=\"%s\"><a href=\"#%s\">%s</a></h2>\n", id, id, title); }
 
 /* ---- photos ---- */
 
@@ -26,7 +26,7 @@ static orl_err add_test_photos(page *p, const eval_setup *setup)
 {
     orl_err e = ORL_OK;
     report_section(p, "test", "Test photos");
-    text_add(&p->body, "<p>They train nothing. The light of each is found on its left half; the right half is scored.</p>\n");
+    orl_text_add(&p->body, "<p>They train nothing. The light of each is found on its left half; the right half is scored.</p>\n");
     for (uint32_t i = 0; !e && i < p->d->nphotos && (!p->o->limit || p->ntest < p->o->limit); i++)
         if (p->d->photos[i].test) e = add_photo(p, &p->d->photos[i], setup, 1, p->test, &p->ntest);
     return e;
@@ -40,14 +40,14 @@ static orl_err add_training_photos(page *p, const eval_setup *setup, int n, int 
     if (most > n) most = n;
     if (!most) return ORL_OK;
     report_section(p, "train", "Training photos");
-    text_add(&p->body, "<p>%d of %d, evenly spread. The light of each is found on the whole photo.</p>\n", most, n);
+    orl_text_add(&p->body, "<p>%d of %d, evenly spread. The light of each is found on the whole photo.</p>\n", most, n);
     for (uint32_t i = 0; !e && k < most; i++) {
         if (p->d->photos[i].test) continue;
         if (seen++ != (int)((2 * k + 1) * (int64_t)n / (2 * most))) continue;
         k++;
         e = add_photo(p, &p->d->photos[i], setup, 0, p->train, &p->ntrain);
     }
-    if (!e && p->ntrain) text_add(&p->body, "<p>Mean over these, whole photo: %.2f dB.</p>\n", eval_mean(p->train, p->ntrain).full[EVAL_FIXED].psnr);
+    if (!e && p->ntrain) orl_text_add(&p->body, "<p>Mean over these, whole photo: %.2f dB.</p>\n", eval_mean(p->train, p->ntrain).full[EVAL_FIXED].psnr);
     return e;
 }
 
@@ -94,21 +94,21 @@ static const char STYLE[] =
     "@media(max-width:760px){.six{grid-template-columns:repeat(3,1fr)}.three{grid-template-columns:repeat(2,1fr)}.light{grid-template-columns:1fr}.light figure{max-width:180px}th,td{padding:.3rem .45rem}.ablation td:first-child{min-width:8.5rem;white-space:normal}.bar{min-width:4rem;width:4rem}dl{grid-template-columns:1fr}dt{margin-top:.4rem}}\n"
     "@media print{article{break-inside:avoid}}";
 
-static void add_head(page *p, text *out, int train)
+static void add_head(page *p, orl_text *out, int train)
 {
     static const struct { const char *id, *title; } LINKS[] = { { "scores", "Scores" }, { "training", "Training" }, { "ablation", "Ablation" }, { "surface", "Surface" }, { "skies", "Skies" }, { "test", "Test photos" }, { "train", "Training photos" },
                                                                 { "legend", "What the figures mean" } };
-    text_add(out, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n<title>");
-    text_escape(out, p->d->name);
-    text_add(out, ": Oriel report</title>\n<style>\n%s\n</style>\n</head>\n<body>\n<h1>", STYLE);
-    text_escape(out, p->d->name);
-    text_add(out, "</h1>\n<p>What Oriel has learned from %d photos.</p>\n<nav>\n", train);
+    orl_text_add(out, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n<title>");
+    orl_text_escape(out, p->d->name);
+    orl_text_add(out, ": Oriel report</title>\n<style>\n%s\n</style>\n</head>\n<body>\n<h1>", STYLE);
+    orl_text_escape(out, p->d->name);
+    orl_text_add(out, "</h1>\n<p>What Oriel has learned from %d photos.</p>\n<nav>\n", train);
     for (size_t i = 0; p->body.s && i < sizeof LINKS / sizeof *LINKS; i++) {
         char id[40];
         snprintf(id, sizeof id, "<h2 id=\"%s\">", LINKS[i].id);
-        if (strstr(p->body.s, id)) text_add(out, "<a href=\"#%s\">%s</a>\n", LINKS[i].id, LINKS[i].title);
+        if (strstr(p->body.s, id)) orl_text_add(out, "<a href=\"#%s\">%s</a>\n", LINKS[i].id, LINKS[i].title);
     }
-    text_add(out, "</nav>\n");
+    orl_text_add(out, "</nav>\n");
 }
 
 /* Figures stand before the photos that they are taken from: the sections are made apart and put in their order at the end. */
@@ -117,7 +117,7 @@ static orl_err make(page *p)
     const report_options *o = p->o;
     baselines base = { 0 };
     figure f[TRUTH_FIGURES];
-    text photos, out = { 0 };
+    orl_text photos, out = { 0 };
     int n = 0, test = 0;
     for (uint32_t i = 0; i < p->d->nphotos; i++) test += p->d->photos[i].test;
     int train = (int)p->d->nphotos - test;
@@ -131,22 +131,22 @@ static orl_err make(page *p)
     setup.model = NULL;
     if (!e) e = add_training_photos(p, &setup, train, o->train);
     photos = p->body;
-    p->body = (text){ 0 };
+    p->body = (orl_text){ 0 };
     if (!e) {
         report_add_facts(p, train, test, f, n);
         report_add_scores(p);
         report_add_curves(p);
         report_add_ablation(p);
-        text_add(&p->body, "%s", photos.s ? photos.s : "");
+        orl_text_add(&p->body, "%s", photos.s ? photos.s : "");
         report_section(p, "legend", "What the figures mean");
         add_head(p, &out, train);
-        text_add(&out, "%s%s</body>\n</html>\n", p->body.s ? p->body.s : "", LEGEND);
+        orl_text_add(&out, "%s%s</body>\n</html>\n", p->body.s ? p->body.s : "", LEGEND);
         out.failed |= p->body.failed | photos.failed;
-        e = text_write(&out, o->output);
+        e = orl_text_write(&out, o->output);
     }
     if (!e) printf("%s: %d test and %d training photos, %.1f MB\n", o->output, p->ntest, p->ntrain, (double)out.n * 1e-6);
-    text_free(&photos);
-    text_free(&out);
+    orl_text_free(&photos);
+    orl_text_free(&out);
     baselines_close(&base);
     return e;
 }
@@ -201,7 +201,7 @@ static orl_err report(report_options *o)
     if (!e && (!p.test || !p.train)) e = orl_fail(ORL_E_MEMORY, "report: no memory");
     if (!e) e = make(&p);
     if (p.model) orl_model_free(p.model);
-    text_free(&p.body);
+    orl_text_free(&p.body);
     free(p.test);
     free(p.train);
     free(p.head);

@@ -5,7 +5,7 @@
 #include "trainer/ablation.h"
 #include "trainer/checkpoint.h"
 #include "trainer/eval.h"
-#include "trainer/plot.h"
+#include "oriel/plot.h"
 #include "trainer/truth.h"
 
 enum { REPORT_SCORED = 512, REPORT_LARGE = 400, REPORT_SMALL = 270 };    /* long sides: of photos that are scored, of pictures in the page */
@@ -19,7 +19,7 @@ typedef struct {
     orl_model *model;               /* these two NULL: no checkpoint */
     checkpoint_header *head;
     ablation *parts;                /* NULL: no table */
-    text body;
+    orl_text body;
     eval_row *test, *train;         /* scores of the photos shown */
     int ntest, ntrain;
 } page;

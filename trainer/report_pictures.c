@@ -39,13 +39,13 @@ orl_err report_picture(page *p, const orl_image *im, int side, const char *of, c
     unlink(path);
     if (!e && !(code = base64(bytes, n))) e = orl_fail(ORL_E_MEMORY, "%s: no memory for a picture", p->o->output);
     if (!e) {
-        text_add(&p->body, "<figure><img width=\"%d\" height=\"%d\" alt=\"", w, h);
-        text_escape(&p->body, of);
-        text_add(&p->body, ": ");
-        text_escape(&p->body, caption);
-        text_add(&p->body, "\" src=\"data:image/%s;base64,%s\"><figcaption>", jpeg ? "jpeg" : "png", code);
-        text_escape(&p->body, caption);
-        text_add(&p->body, "</figcaption></figure>\n");
+        orl_text_add(&p->body, "<figure><img width=\"%d\" height=\"%d\" alt=\"", w, h);
+        orl_text_escape(&p->body, of);
+        orl_text_add(&p->body, ": ");
+        orl_text_escape(&p->body, caption);
+        orl_text_add(&p->body, "\" src=\"data:image/%s;base64,%s\"><figcaption>", jpeg ? "jpeg" : "png", code);
+        orl_text_escape(&p->body, caption);
+        orl_text_add(&p->body, "</figcaption></figure>\n");
     }
     free(code);
     free(bytes);
@@ -282,9 +282,9 @@ static orl_err add_side(page *p, double turn)
 orl_err report_add_outside(page *p)
 {
     report_section(p, "surface", "The surface from outside");
-    text_add(&p->body, "<div class=\"grid three\">\n");
+    orl_text_add(&p->body, "<div class=\"grid three\">\n");
     orl_err e = add_side(p, 0.5);
     if (!e) e = add_side(p, -0.6);
-    text_add(&p->body, "</div>\n");
+    orl_text_add(&p->body, "</div>\n");
     return e;
 }

@@ -56,13 +56,13 @@ orl_err report_add_skies(page *p)
     }
     if (!e) {
         report_section(p, "skies", "Under other skies");
-        text_add(&p->body, "<p>The view of ");
-        text_escape(&p->body, photo->name);
-        text_add(&p->body, " by <code>oriel relight</code>, each sun behind the camera's left shoulder, exposed for the building.</p>\n<div class=\"grid three\">\n");
+        orl_text_add(&p->body, "<p>The view of ");
+        orl_text_escape(&p->body, photo->name);
+        orl_text_add(&p->body, " by <code>oriel relight</code>, each sun behind the camera's left shoulder, exposed for the building.</p>\n<div class=\"grid three\">\n");
         e = report_picture(p, &im, REPORT_LARGE, photo->name, "the photo");
         float heading = atan2f((float)v.grid_from_cam[5], (float)v.grid_from_cam[2]);
         for (int k = 0; !e && k < p->o->nskies; k++) e = add_sky(p, &v, heading, p->o->sky[k], linear, scratch, &out);
-        text_add(&p->body, "</div>\n");
+        orl_text_add(&p->body, "</div>\n");
     }
     free(linear);
     free(scratch);

@@ -6,16 +6,16 @@
 
 /* ---- figures and scores ---- */
 
-static void add_fact(text *t, const char *value, const char *what) { text_add(t, "<div><b>%s</b>%s</div>\n", value, what); }
+static void add_fact(orl_text *t, const char *value, const char *what) { orl_text_add(t, "<div><b>%s</b>%s</div>\n", value, what); }
 
 void report_add_facts(page *p, int train, int test, const figure *f, int n)
 {
     static const struct { const char *key, *what, *unit; double times; int digits; } SHOW[] = {
         { "depth_median_rel", "median depth error", " %", 100, 2 }, { "normal_mean_deg", "mean normal error", "&deg;", 1, 1 }, { "sky_covered", "of the sky covered", " %", 100, 2 },
         { "sfm_heldout_median_rel", "off held-out SfM points (median)", " %", 100, 2 }, { "transient_iou", "transients found (IoU)", "", 1, 2 } };
-    text *t = &p->body;
+    orl_text *t = &p->body;
     char v[64];
-    text_add(t, "<div class=\"facts\">\n");
+    orl_text_add(t, "<div class=\"facts\">\n");
     snprintf(v, sizeof v, "%d + %d", train, test);
     add_fact(t, v, "training and test photos");
     if (p->head) {
@@ -32,25 +32,25 @@ void report_add_facts(page *p, int train, int test, const figure *f, int n)
                 snprintf(v, sizeof v, "%.*f%s", SHOW[k].digits, f[i].v * SHOW[k].times, SHOW[k].unit);
                 add_fact(t, v, SHOW[k].what);
             }
-    text_add(t, "</div>\n");
+    orl_text_add(t, "</div>\n");
 }
 
 void report_add_scores(page *p)
 {
     static const char *const TITLE[EVAL_COLUMNS] = { [EVAL_FIXED] = "Oriel, fixed point", [EVAL_FLOAT] = "Oriel, float", [EVAL_ROW_MEAN] = "row mean", [EVAL_NEAREST] = "nearest photo, warped", [EVAL_MEDIAN] = "median of 12 warps" };
     eval_row mean = eval_mean(p->test, p->ntest);
-    text *t = &p->body;
+    orl_text *t = &p->body;
     if (!p->ntest) return;
     report_section(p, "scores", "Scores");
-    text_add(t, "<div class=\"scroll\">\n<table>\n<tr><th></th><th colspan=\"3\">right half</th><th colspan=\"3\">whole photo</th></tr>\n"
+    orl_text_add(t, "<div class=\"scroll\">\n<table>\n<tr><th></th><th colspan=\"3\">right half</th><th colspan=\"3\">whole photo</th></tr>\n"
                 "<tr><th>mean over %d test photo%s</th><th>PSNR</th><th>SSIM</th><th>FLIP</th><th>PSNR</th><th>SSIM</th><th>FLIP</th></tr>\n", p->ntest, p->ntest > 1 ? "s" : "");
     for (int k = 0; k < EVAL_COLUMNS; k++) {
         const orl_score *r = &mean.right[k], *f = &mean.full[k];
         if (mean.has[k])
-            text_add(t, "<tr%s><td>%s</td><td>%.2f</td><td>%.3f</td><td>%.3f</td><td>%.2f</td><td>%.3f</td><td>%.3f</td></tr>\n", k == EVAL_FIXED ? " class=\"ours\"" : "", TITLE[k] ? TITLE[k] : EVAL_NAMES[k], r->psnr, r->ssim, r->flip,
+            orl_text_add(t, "<tr%s><td>%s</td><td>%.2f</td><td>%.3f</td><td>%.3f</td><td>%.2f</td><td>%.3f</td><td>%.3f</td></tr>\n", k == EVAL_FIXED ? " class=\"ours\"" : "", TITLE[k] ? TITLE[k] : EVAL_NAMES[k], r->psnr, r->ssim, r->flip,
                      f->psnr, f->ssim, f->flip);
     }
-    text_add(t, "</table>\n</div>\n");
+    orl_text_add(t, "</table>\n</div>\n");
 }
 
 /* ---- curves ---- */
@@ -72,14 +72,14 @@ void report_add_curves(page *p)
     }
     second = n - first;
     report_section(p, "training", "Training");
-    text_add(&p->body, "<div class=\"plots\">\n");
-    const plot_series psnr[] = { { "stage 1: volume rendering", x, y[PSNR], first }, { "stage 2: relighting", x + first, y[PSNR] + first, second } };
-    plot_svg(&p->body, psnr, 2, &(plot_style){ .title = "PSNR on training pixels", .x_label = "CPU minutes", .y_label = "dB", .w = 560, .h = 320 });
-    const plot_series one[] = { { "photometric (MSE)", x, y[MSE], first }, { "sky mask", x, y[SKY], first }, { "Eikonal", x, y[EIKONAL], first }, { "points, cells", x, y[POINTS], first }, { "transient share", x, y[TRANSIENT], first } };
-    if (first > 1) plot_svg(&p->body, one, 5, &(plot_style){ .title = "Stage 1: losses", .x_label = "CPU minutes", .log_y = 1, .w = 560, .h = 320 });
-    const plot_series two[] = { { "photometric (MSE)", x + first, y[MSE] + first, second }, { "light of photos (residual, rms)", x + first, y[CODES] + first, second } };
-    if (second > 1) plot_svg(&p->body, two, 2, &(plot_style){ .title = "Stage 2: losses", .x_label = "CPU minutes", .log_y = 1, .key_above = 1, .w = 560, .h = 320 });
-    text_add(&p->body, "</div>\n");
+    orl_text_add(&p->body, "<div class=\"plots\">\n");
+    const orl_plot_series psnr[] = { { "stage 1: volume rendering", x, y[PSNR], first }, { "stage 2: relighting", x + first, y[PSNR] + first, second } };
+    orl_plot_svg(&p->body, psnr, 2, &(orl_plot_style){ .title = "PSNR on training pixels", .x_label = "CPU minutes", .y_label = "dB", .w = 560, .h = 320 });
+    const orl_plot_series one[] = { { "photometric (MSE)", x, y[MSE], first }, { "sky mask", x, y[SKY], first }, { "Eikonal", x, y[EIKONAL], first }, { "points, cells", x, y[POINTS], first }, { "transient share", x, y[TRANSIENT], first } };
+    if (first > 1) orl_plot_svg(&p->body, one, 5, &(orl_plot_style){ .title = "Stage 1: losses", .x_label = "CPU minutes", .log_y = 1, .w = 560, .h = 320 });
+    const orl_plot_series two[] = { { "photometric (MSE)", x + first, y[MSE] + first, second }, { "light of photos (residual, rms)", x + first, y[CODES] + first, second } };
+    if (second > 1) orl_plot_svg(&p->body, two, 2, &(orl_plot_style){ .title = "Stage 2: losses", .x_label = "CPU minutes", .log_y = 1, .key_above = 1, .w = 560, .h = 320 });
+    orl_text_add(&p->body, "</div>\n");
 }
 
 /* ---- ablation ---- */
@@ -99,22 +99,22 @@ static const struct { const char *title; int digits, db; } FIGURE[ABLATION_FIGUR
     [ABLATION_SUN] = { "sun off by", 1, 0 }, [ABLATION_RELIT] = { "other skies, dB", 2, 1 } };
 
 /* The difference to `full` in dB, and as a bar: to the left what is worse. */
-static void add_bar(text *t, double d, double widest)
+static void add_bar(orl_text *t, double d, double widest)
 {
-    text_add(t, "<td>%+.2f</td><td class=\"bar\"><i class=\"%s\" style=\"width:%.1f%%\"></i></td>", fabs(d) < 0.005 ? 0.0 : d, d < 0 ? "worse" : "better", 50 * fabs(d) / widest);
+    orl_text_add(t, "<td>%+.2f</td><td class=\"bar\"><i class=\"%s\" style=\"width:%.1f%%\"></i></td>", fabs(d) < 0.005 ? 0.0 : d, d < 0 ? "worse" : "better", 50 * fabs(d) / widest);
 }
 
-static void add_cells(text *t, const ablation *a, const ablation_row *r, const int *any, double widest)
+static void add_cells(orl_text *t, const ablation *a, const ablation_row *r, const int *any, double widest)
 {
     const ablation_row *full = &a->row[a->full];
     for (int k = 0; k < ABLATION_FIGURES; k++) {
         if (!any[k]) continue;
-        if (isfinite(r->v[k])) text_add(t, "<td>%.*f%s", FIGURE[k].digits, r->v[k], k == ABLATION_SUN ? "&deg;" : "");
-        else text_add(t, "<td>&ndash;");
-        if (FIGURE[k].db && r != full && isfinite(r->v[k] - full->v[k])) text_add(t, " <small>%+.2f</small>", r->v[k] - full->v[k]);
-        text_add(t, "</td>");
+        if (isfinite(r->v[k])) orl_text_add(t, "<td>%.*f%s", FIGURE[k].digits, r->v[k], k == ABLATION_SUN ? "&deg;" : "");
+        else orl_text_add(t, "<td>&ndash;");
+        if (FIGURE[k].db && r != full && isfinite(r->v[k] - full->v[k])) orl_text_add(t, " <small>%+.2f</small>", r->v[k] - full->v[k]);
+        orl_text_add(t, "</td>");
         if (k != ABLATION_PSNR) continue;
-        if (r == full) text_add(t, "<td></td><td class=\"bar\"></td>");
+        if (r == full) orl_text_add(t, "<td></td><td class=\"bar\"></td>");
         else add_bar(t, r->v[k] - full->v[k], widest);
     }
 }
@@ -122,7 +122,7 @@ static void add_cells(text *t, const ablation *a, const ablation_row *r, const i
 void report_add_ablation(page *p)
 {
     const ablation *a = p->parts;
-    text *t = &p->body;
+    orl_text *t = &p->body;
     int any[ABLATION_FIGURES] = { 0 };
     double widest = 1e-9;
     if (!a) return;
@@ -131,16 +131,16 @@ void report_add_ablation(page *p)
         for (int k = 0; k < ABLATION_FIGURES; k++) any[k] |= isfinite(a->row[i].v[k]) != 0;
     }
     report_section(p, "ablation", "Ablation");
-    text_add(t, "<p>Stage 2 from the same geometry, each time without one of its parts. Scores of the right half of test photos, fixed point; small figures: difference to <b>full</b>.</p>\n"
+    orl_text_add(t, "<p>Stage 2 from the same geometry, each time without one of its parts. Scores of the right half of test photos, fixed point; small figures: difference to <b>full</b>.</p>\n"
                 "<div class=\"scroll\">\n<table class=\"ablation\">\n<tr><th>variant</th>");
-    for (int k = 0; k < ABLATION_FIGURES; k++) if (any[k]) text_add(t, "<th>%s</th>%s", FIGURE[k].title, k == ABLATION_PSNR ? "<th colspan=\"2\">against full, dB</th>" : "");
-    text_add(t, "</tr>\n");
+    for (int k = 0; k < ABLATION_FIGURES; k++) if (any[k]) orl_text_add(t, "<th>%s</th>%s", FIGURE[k].title, k == ABLATION_PSNR ? "<th colspan=\"2\">against full, dB</th>" : "");
+    orl_text_add(t, "</tr>\n");
     for (int i = 0; i < a->n; i++) {
-        text_add(t, "<tr%s><td><b>", i == a->full ? " class=\"ours\"" : "");
-        text_escape(t, a->row[i].variant);
-        text_add(t, "</b> <small>%s</small></td>", meaning(a->row[i].variant));
+        orl_text_add(t, "<tr%s><td><b>", i == a->full ? " class=\"ours\"" : "");
+        orl_text_escape(t, a->row[i].variant);
+        orl_text_add(t, "</b> <small>%s</small></td>", meaning(a->row[i].variant));
         add_cells(t, a, &a->row[i], any, widest);
-        text_add(t, "</tr>\n");
+        orl_text_add(t, "</tr>\n");
     }
-    text_add(t, "</table>\n</div>\n");
+    orl_text_add(t, "</table>\n</div>\n");
 }

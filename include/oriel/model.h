@@ -11,6 +11,9 @@ const orl_light_model *orl_model_light(const orl_model *m);
 void orl_model_gbuffer(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int threads, orl_sample *out, float *depth);
 /* The same of n pixels only, by index. */
 void orl_model_samples(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, const int *pixel, int n, int threads, orl_sample *out);
+#define ORL_MODEL_SIGMA 0.4f        /* width of the logistic, fine cells, that stage 1 ends with */
+/* The picture itself, volume-rendered (trainer/exact.h says what sigma is), side x side rays a pixel, each sample shaded on its own, then averaged. rgb: [h][w][3] display-referred, not clamped. */
+void orl_model_exact(const orl_model *m, const orl_camera *cam, const orl_pose *pose, const orl_light *light, int side, float sigma, int threads, float *rgb);
 /* Scene frame: rotation world -> scene frame (z up). */
 void orl_model_up(const orl_model *m, double R[9]);
 #endif

@@ -4,6 +4,16 @@
 #include "oriel/camera.h"
 #include "oriel/scene.h"
 
+/* What is left out where nobody would see it. Bits of no_skip turn that off, to measure it: the same picture, later; EMPTY may move a hit by a fraction of a cell. */
+enum {
+    ORL_SKIP_PHOTO = 1,             /* pixels that the photo covers */
+    ORL_SKIP_SKY = 2,               /* light on a surface in runs of pixels that have none */
+    ORL_SKIP_SHADOW = 4,            /* shadow features of a scene that has none */
+    ORL_SKIP_SAME = 8,              /* shading once more in the light of the last picture */
+    ORL_SKIP_EMPTY = 16,            /* steps through bricks known to be empty: the scene's brick map */
+    ORL_SKIP_ALL = 31
+};
+
 /* Structure of arrays, rows padded to a multiple of 32 pixels (stride). Owned by the caller's block. */
 typedef struct {
     int w, h, stride;
@@ -19,6 +29,7 @@ typedef struct {
     orl_camera cam; orl_pose pose;
     double grid_from_cam[9];        /* rotation camera -> scene frame (z up) */
     double eye[3];                  /* grid frame */
+    unsigned no_skip;               /* ORL_SKIP_SKY, ORL_SKIP_SHADOW: not skipped */
     const orl_scene *scene;         /* not owned; for orl_view_trace_sun, NULL where ceiling is there */
     void *sky;                      /* coarse grid of sky directions, private */
 } orl_view;

@@ -77,6 +77,7 @@ typedef struct {
     const int16_t *sky[3];          /* nodes of this row from the image's left edge */
     int sky_log2;                   /* pixels between nodes: 4 .. 15 */
     int x;                          /* column of the first pixel, a multiple of ORL_KERNEL_STEP */
+    int all;                        /* 1: surface and sky of every pixel, also where the one counts nothing; the same pixels, later */
     struct { const uint8_t *at; int step; } ahead[ORL_AHEAD];       /* [aheads] bytes that will be wanted soon: kernels may fetch at + step i into the cache as they come to pixel i; more streams than a CPU foresees */
     int aheads;
 } orl_shade_in;

@@ -148,7 +148,7 @@ INLINE void shade_vectors(int wide, const orl_shade_in *in, const constants *k, 
         most = max(most, cov[w]);
         channels(c) p[w][c] = zero();
     }
-    const int some = any(most), full = all_255(least);
+    const int some = in->all || any(most), full = !in->all && all_255(least);
     if (some) surface(wide, in, k, i, p);
     if (!full) each(w) {
         int x = in->x + i + w * LANES;

@@ -39,10 +39,47 @@ done
 grep -q '"name": "blend ref", "seconds": [0-9.e-]*, "bytes": [0-9]*, "ratio": [0-9.e+]*, "against": "memcpy"}' "$W/out" || fail "bench says no ratio: $(grep blend "$W/out")"
 db=$(grep -oE '"sun, shade, tone ref".*"error_db": [0-9]+' "$W/out" | grep -oE '[0-9]+$')
 [ "${db:-0}" -ge 50 ] || fail "bench: shading is ${db:-?} dB from the float model"
-"$O" bench $scene $pose $clip | grep -q '^sun, traced' || fail "bench --scene"
 if command -v python3 >/dev/null; then python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json is not JSON"; fi
+# every setting and every skip, with its error and what it changes; better settings are nearer to the exact picture
+"$O" bench $scene $pose --view "$W/kiosk.oriel" $clip --svg "$W/settings.svg" --json >"$W/out" || fail "bench of scene and view"
+grep -q '^{"name": "light: stayed", "pictures": 0, "of": 6}' "$W/out" || fail "bench: $(grep stayed "$W/out")"
+db() { grep -oE "\"setting: $1 $2\".*\"error_db\": [0-9]+" "$W/out" | grep -oE '[0-9]+$' || echo 0; }
+last=0
+for setting in '1 ray, quarter size, traced' '1 ray, half size, traced' '1 ray, horizons' '4 rays, traced'; do
+    [ "$(db "$setting" ref)" -gt $last ] || fail "bench: $setting is $(db "$setting" ref) dB from the exact picture, the setting before $last"
+    last=$(db "$setting" ref)
+done
+[ "$last" -ge 38 ] && [ "$(db '4 rays, traced' float)" -ge $last ] || fail "bench: the best setting is $last dB from the exact picture, in float $(db '4 rays, traced' float)"
+[ "$(db '4 rays, traced, blended' ref)" -ge $last ] || fail "bench: a photo of the model itself, blended in, takes it away from the exact picture"
+[ "$(db '4 rays, baked' ref)" -ge 30 ] || fail "bench: baked suns are $(db '4 rays, baked' ref) dB from the exact picture"
+for skip in photo sky shadow same; do grep -qE "\"name\": \"skip: $skip, .*\"without_seconds\": [0-9.e-]+, \"saved\": .*\"identical\": true" "$W/out" || fail "bench: skip $skip: $(grep "skip: $skip" "$W/out")"; done
+for skip in empty bake; do grep -qE "\"name\": \"skip: $skip, .*(\"identical\": true|\"change_db\": [3-9][0-9])" "$W/out" || fail "bench: skip $skip: $(grep "skip: $skip" "$W/out")"; done
+if command -v python3 >/dev/null; then
+    python3 -c 'import json, sys; [json.loads(l) for l in sys.stdin]' <"$W/out" || fail "bench --json of scene and view is not JSON"
+    cp "$W/wide.png" "$W/a \"name\".png"
+    "$O" bench $scene $pose --reference "$W/a \"name\".png" --json | python3 -c 'import json, sys; sys.exit(not any(json.loads(l).get("error_of", "").endswith("a \"name\".png") for l in sys.stdin))' || fail "bench --json: the reference's name"
+    python3 -c 'import sys, xml.dom.minidom as x; c = x.parse(sys.argv[1]).getElementsByTagName("circle"); sys.exit(len(c) < 30)' "$W/settings.svg" || fail "bench --svg: $(head -c 300 "$W/settings.svg")"
+fi
+[ "$(grep -c '>4 rays, traced, blended</text>' "$W/settings.svg")" = 1 ] && grep -q 'kernels ref, a picture' "$W/settings.svg" || fail "bench --svg: what it names"
+"$O" bench $scene $pose --reference "$W/wide.png" --light 0 >"$W/out" || fail "bench --reference"
+grep -q '^sun, traced' "$W/out" && grep -q "^setting: 4 rays, traced  *ref .* dB from $W/wide.png" "$W/out" || fail "bench --reference: $(grep setting "$W/out" | tail -1)"
+expect 1 'photo.png: 160 x 120 pixels, the wide view has 200 x 120' "$O" bench $scene $pose --reference "$W/photo.png"
+expect 1 '--light 1000' "$O" bench $scene $pose --light 1000
+expect 1 'baked for another' "$O" bench $scene $pose --view "$W/kiosk.oriel" --size 100x60
+expect 1 'nothing/x.svg' "$O" bench $scene $pose --svg "$W/nothing/x.svg"
 expect 2 "wanted are --view, or both" "$O" bench $clip
-[ "$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: --no-skip)" = "$baked" ] || fail "--no-skip: another picture"
+for skip in --no-skip --no-skip=photo --no-skip=sky,shadow --no-skip=same,empty; do
+    for cpu in ref auto; do
+        [ "$("$O" run --view "$W/kiosk.oriel" $clip --sink hash: $skip --cpu=$cpu)" = "$baked" ] || fail "$skip --cpu=$cpu: another picture"
+        [ "$("$O" run $scene $pose $clip --sink hash: $skip --cpu=$cpu)" = "$want" ] || fail "$skip --cpu=$cpu: another picture of the scene"
+    done
+done
+expect 2 'none of photo, sky' "$O" run $scene $pose $clip --sink hash: --no-skip=photo,haste
+# a light that stays is shaded once
+for every in 2 4; do
+    a=$("$O" run $scene $pose $clip --sink hash: --adapt-every $every) b=$("$O" run $scene $pose $clip --sink hash: --adapt-every $every --no-skip=same)
+    [ "$a" = "$b" ] && [ "$a" != "$want" ] || fail "--adapt-every $every: $a, and without what was kept $b"
+done
 "$O" info "$W/kiosk.oriel" | grep -q "a photo of 160 x 120, .* widened to 200 x 120" || fail "info of a baked file"
 if command -v python3 >/dev/null; then "$O" info --json "$W/kiosk.oriel" | python3 -m json.tool >/dev/null || fail "info --json of a baked file"; fi
 expect 1 "no baked view" "$O" run --view "$W/scene.oriel" $clip --sink hash:

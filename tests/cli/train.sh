@@ -275,6 +275,23 @@ printf 'a\t1\t2\na\tx\t2\n' >"$W/bad.tsv"
 expect 1 'bad.tsv: line 2: x or y' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
 : >"$W/bad.tsv"
 expect 1 'bad.tsv: no point' "$T" plot "$W/bad.tsv" -o "$W/no.svg"
+# bench: the exact picture; the runtime's finest setting is nearer to it than its coarsest, and nearer still where the model's surface is taken as hard
+if read -r _ lens < <(grep '^1 ' "$place/sparse_test/0/cameras.txt") && read -r _ q0 q1 q2 q3 x y z _ < <(grep '^1 ' "$place/sparse_test/0/images.txt"); then
+    for name in photo wide; do echo "$name $lens $q0 $q1 $q2 $q3 $x $y $z"; done >"$W/pose.txt"
+    place_of="--scene $W/ref.oriel --pose $W/pose.txt --size 96x72"
+    db() { "$B/oriel" bench $place_of --reference "$1" --json 2>"$W/err" | grep -oE "\"setting: $2\".*\"error_db\": [0-9.]+" | grep -oE '[0-9.]+$' || { echo 0; cat "$W/err" >&2; }; }
+    "$T" bench $place_of --rays 2 --out "$W/soft.png" --json >"$W/exact.json" 2>"$W/err" || fail "bench --scene: $(cat "$W/err")"
+    json "$W/exact.json" name seconds rays sigma light width height
+    "$T" bench $place_of --rays 2 --out "$W/hard.exr" --sigma 0.05 --threads 2 >"$W/out" 2>"$W/err" || fail "bench --scene --sigma: $(cat "$W/err")"
+    soft=$(db "$W/soft.png" '4 rays, traced float') hard=$(db "$W/hard.exr" '4 rays, traced float') coarse=$(db "$W/hard.exr" '1 ray, quarter size, traced float')
+    awk "BEGIN { exit !($soft > 20 && $hard > $soft && $hard > $coarse + 3) }" || fail "bench --reference: the exact picture is $soft dB away, with a hard surface $hard, at its coarsest $coarse"
+    expect 2 'go together' "$T" bench --scene "$W/ref.oriel"
+    expect 2 '17 is out of range' "$T" bench $place_of --out "$W/no.png" --rays 17
+    expect 1 'no.ckpt' "$T" bench $place_of --checkpoint "$W/no.ckpt" --out "$W/no.png"
+else
+    fail "no test camera to bench"
+fi
+
 # ablation: a program that stands in for oriel-train (stage 2 without a part takes as long as with it) notes what it is asked, and has a figure for each variant
 cat >"$W/stub" <<'END'
 #!/bin/bash

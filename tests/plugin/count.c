@@ -1,6 +1,6 @@
 /* A plugin of qemu's user-mode emulator for aarch64 (API 1, as in Debian 12's 7.2): executed instructions by function and mnemonic, for functions whose names begin as asked. tests/count.sh builds and runs it.
- *   -plugin count.so,out=FILE,name=PREFIX
- * FILE: one line a function and mnemonic, `FUNCTION MNEMONIC COUNT`; `FUNCTION calls COUNT` among them. Only what emulates one thread is counted right: the counters take no locks.
+ *   -plugin count.so,out=FILE,name=PREFIX[,by=address]
+ * FILE: one line a function and mnemonic, `FUNCTION MNEMONIC COUNT`; `FUNCTION calls COUNT` among them. by=address: the instruction's address, hexadecimal, in place of its mnemonic. Only what emulates one thread is counted right: the counters take no locks.
  * Debian ships no qemu-plugin.h; what is used of it is declared here. */
 #include <inttypes.h>
 #include <stdbool.h>
@@ -23,9 +23,9 @@ const void *qemu_plugin_insn_data(const struct qemu_plugin_insn *insn);
 char *qemu_plugin_insn_disas(const struct qemu_plugin_insn *insn);
 void qemu_plugin_register_vcpu_insn_exec_inline(struct qemu_plugin_insn *insn, int op, void *counter, uint64_t add);      /* op 0: add to a uint64_t */
 
-enum { ROWS = 4096, NAME = 64 };
+enum { ROWS = 1 << 14, NAME = 64 };
 static struct { char function[NAME], mnemonic[NAME]; uint64_t entry, count; } row[ROWS];
-static int rows;
+static int rows, by_address;
 static const char *out, *prefix;
 
 static int find(const char *function, const char *mnemonic, uint64_t entry)
@@ -61,8 +61,10 @@ static void translated(plugin_id id, struct qemu_plugin_tb *tb)
         uint64_t at = qemu_plugin_insn_vaddr(insn);
         int calls = find(symbol, "calls", at);      /* the first that is seen of a function is its entry */
         if (row[calls].entry == at) qemu_plugin_register_vcpu_insn_exec_inline(insn, 0, &row[calls].count, 1);
-        char *text = mnemonic(insn);
-        qemu_plugin_register_vcpu_insn_exec_inline(insn, 0, &row[find(symbol, text, 0)].count, 1);
+        char address[20], *text = NULL;
+        snprintf(address, sizeof address, "%" PRIx64, at);
+        if (!by_address) text = mnemonic(insn);
+        qemu_plugin_register_vcpu_insn_exec_inline(insn, 0, &row[find(symbol, text ? text : address, 0)].count, 1);
         free(text);
     }
 }
@@ -83,6 +85,7 @@ int qemu_plugin_install(plugin_id id, const void *info, int argc, char **argv)
     for (int i = 0; i < argc; i++) {
         if (!strncmp(argv[i], "out=", 4)) out = strdup(argv[i] + 4);
         if (!strncmp(argv[i], "name=", 5)) prefix = strdup(argv[i] + 5);
+        if (!strcmp(argv[i], "by=address")) by_address = 1;
     }
     if (!out || !prefix) { fprintf(stderr, "count: out= and name= are wanted\n"); return 1; }
     qemu_plugin_register_vcpu_tb_trans_cb(id, translated);
