@@ -10,7 +10,7 @@
 #include "runtime/baked.h"
 #include "runtime/commands.h"
 #include "runtime/kernels/shade.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 static const char HELP[] =
     "Usage: oriel bench (--scene FILE --pose FILE | --view FILE | --convert | --mlp) [OPTION]...\n"

@@ -1,5 +1,5 @@
-/* Photo -> wide picture (runtime/widen.h): observe, adapt, re-light, shade, blend. */
-#include "runtime/widen.h"
+/* Photo -> wide picture (include/oriel/widen.h): observe, adapt, re-light, shade, blend. */
+#include "oriel/widen.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

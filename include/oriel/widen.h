@@ -1,9 +1,9 @@
-/* One camera, one wide view: what `extend` does once and `run` every frame. Private to the runtime.
+/* One camera, one wide view: what `extend` does once and `run` every frame.
  *
  * A small view at the photo's camera serves adaptation, the wide view is re-lit and shaded, the blend lays the photo in. Everything lives in the caller's block;
  * after orl_widen_init nothing is allocated. Same bytes for any number of threads, any kernel and machine. */
-#ifndef RUNTIME_WIDEN_H
-#define RUNTIME_WIDEN_H
+#ifndef ORIEL_WIDEN_H
+#define ORIEL_WIDEN_H
 #include "oriel/adapt.h"
 #include "oriel/blend.h"
 #include "oriel/view.h"
