@@ -491,6 +491,20 @@ static int sunlit(const orl_view *v, int x, int y, const orl_sample *p, const or
     return !orl_march(v->scene, o, sun, &h);
 }
 
+/* A ceiling hides a sun of this elevation as a horizon does that stands as far above the sun as the ceiling below it. */
+void orl_view_sample_sun(const orl_view *v, const orl_light *l, int x, int y, orl_sample *s)
+{
+    const float unit = 1.57079633f / 255, zenith = 1.57079633f, el = l->code[ORL_C_SUN_EL];
+    size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+    s->fix = 0;
+    for (int i = 0; v->ceiling && i < ORL_HORIZON; i++) {
+        size_t k = (size_t)i * plane_size(v) + at;
+        float up = (float)v->horizon[k] * unit, hidden = v->ceiling[k] ? 2 * el - (float)(255 - v->ceiling[k]) * unit : 0;
+        s->horizon[i] = hidden > up ? hidden < zenith ? hidden : zenith : up;
+    }
+    if (!v->ceiling && v->cov[at] && v->scene->lite && l->sun_dir[2] > 0) s->fix = (float)sunlit(v, x, y, s, l) - orl_light_sun_visibility(l, s);
+}
+
 typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis; uint8_t *ceiling; orl_kernels k; } trace_job;
 
 static void trace_row(const trace_job *j, int y)

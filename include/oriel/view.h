@@ -38,6 +38,9 @@ orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_vie
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
 
+/* Traces a light's sun for such a sample of pixel (x, y) alone: by one ray, which sets fix, or by a baked view's ceilings, which set the horizon. */
+void orl_view_sample_sun(const orl_view *v, const orl_light *l, int x, int y, orl_sample *s);
+
 /* Whether the sun of a light reaches the pixels of rows [y0, y1), by one ray each from ORL_SUN_LIFT cells over the surface; a sun under the horizon is left to the horizons. Goes on counting as the
  * sun moves, so trace again where it moved by more than a degree or so. A baked view looks it up. Bit-identical for any thread count and cpu. */
 void orl_view_trace_sun(orl_view *v, const orl_light *l, int y0, int y1, unsigned cpu, int threads);

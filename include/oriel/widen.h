@@ -26,13 +26,16 @@ typedef struct { float dir[3]; int row, traced; } orl_sun_trace;
 typedef struct {
     orl_widen_config config;
     orl_view small, wide;
-    orl_sun_trace small_sun, wide_sun;
+    orl_sun_trace wide_sun;
     orl_blend *blend;                   /* NULL without */
     orl_adapt_result fit;               /* of the last adaptation */
     int adapted;                        /* fit.code holds a light */
     int starts;                         /* adaptations run for the last frame */
     orl_light *light;
     orl_sample *samples; int nsamples;
+    orl_sample *rival;                  /* of other suns on trial: [nsamples], */
+    float rival_code[ORL_CODE];         /* the best one of the last frame, */
+    int rival_stands, sun, round;       /* if there was one; which sun is next, which share of the samples */
     int *spot;                          /* [nsamples] pixel of the small view */
     uint8_t *unmasked;                  /* [small pixel] 1 = no person */
     void *adapt_work, *light_block;
