@@ -10,6 +10,10 @@
 enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 };    /* TRACES: of a sun that was just found, each followed by a better one; BANDS: frames that a creeping sun's trace takes */
 enum { SUNS = 24, RIVALS = 2, ROUNDS = 8, SHARE = 4 };     /* other suns; of these, tried a frame; rounds of them over a first photo; samples of which a rival sees one */
 enum { MEET = 2, CANDIDATE = 4, PROVE = 4 };                /* steps of a rival on its share, of a training photo's light, and of a winner on all samples */
+enum { SETTLES = 4, WATCHES = SETTLES + SUNS / RIVALS };    /* frames of a light that stands in which codes still move; in which other suns are still tried */
+enum { RUN = 16 };
+#define STILL (1 / 255.0f)              /* change of the samples below which light stands, */
+#define PASSER (16 / 255.0f)            /* each counted up to here: who passes is no light */
 #define ENOUGH 1e-3f                    /* a step that gains less of the cost is the last */
 #define BETTER 0.997f                   /* what a rival must bring the cost down to */
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
@@ -50,6 +54,7 @@ static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, block
     w->light = orl_arena_take(a, sizeof *w->light);
     w->samples = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->samples);
     w->rival = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->rival);
+    w->seen = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->seen);
     w->spot = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->spot);
     w->unmasked = orl_arena_take(a, (size_t)s.w * (size_t)s.h);
     w->adapt_work = orl_arena_take(a, orl_adapt_need());
@@ -210,7 +215,9 @@ static orl_err race(orl_widen *w, const float *code, int share, int steps, orl_a
     w->starts++;
     opt.max_iterations = steps;
     opt.enough = ENOUGH;
-    return orl_adapt(m, w->rival, (size_t)n, code, &opt, w->adapt_work, orl_adapt_need(), out);
+    orl_err e = orl_adapt(m, w->rival, (size_t)n, code, &opt, w->adapt_work, orl_adapt_need(), out);
+    if (!e && out->status == ORL_ADAPT_DEGENERATE) out->cost = INFINITY;
+    return e;
 }
 
 /* The cost of a code on a share of the samples, in the shadows that they have. */
@@ -349,18 +356,51 @@ static orl_err fit_warm(orl_widen *w)
     return ORL_OK;
 }
 
+/* Mean change of the samples' colours since the light last changed, by runs of RUN neighbours: noise is gone in their means, light is not. */
+static float change(const orl_widen *w)
+{
+    float sum = 0, runs = 0;
+    for (int i = 0; i < w->nsamples; i += RUN, runs++) {
+        float most = 0;
+        for (int c = 0; c < 3; c++) {
+            float d = 0, n = 0;
+            for (int k = i; k < i + RUN && k < w->nsamples; k++) {
+                const orl_sample *s = &w->samples[k];
+                d += s->weight * fminf(fmaxf(s->rgb[c] - w->seen[k][c], -PASSER), PASSER);
+                n += s->weight;
+            }
+            most = n > 0 ? fmaxf(most, fabsf(d) / n) : most;
+        }
+        sum += most;
+    }
+    return sum / runs;
+}
+
+/* Frames since the light last changed: 0 if it does now. Slow change adds up, for frames are held against the first of them. */
+static int still(orl_widen *w)
+{
+    if (w->adapted && change(w) < STILL) return w->still < WATCHES ? w->still + 1 : w->still;
+    for (int i = 0; i < w->nsamples; i++) memcpy(w->seen[i], w->samples[i].rgb, sizeof *w->seen);
+    return 0;
+}
+
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
 {
+    int beaten = 0;
+    orl_err e = ORL_OK;
     w->starts = 0;
     observe(w, photo);
-    orl_err e = w->adapted ? fit_warm(w) : fit_cold(w);
+    w->still = w->config.no_skip ? 0 : still(w);
+    if (!w->adapted) e = fit_cold(w);
+    else if (w->still < SETTLES) e = fit_warm(w);
+    else if (w->still < WATCHES) e = challenge(w, &w->fit, &beaten);
     if (e) return e;
     int found = w->fit.status != ORL_ADAPT_DEGENERATE;
     w->adapted |= found;
-    orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
-    if (found) face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
+    if (w->starts) orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    if (w->starts && found) face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
     if (found && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
-    w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
+    if (w->starts) w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }
 

@@ -15,7 +15,7 @@ typedef struct {
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
     int blend;                          /* 0: the render alone */
-    int no_skip;                        /* shade also what the photo covers; the same picture */
+    int no_skip;                        /* shade also what the photo covers, the same picture; adapt also where nothing changed */
     int threads;
     unsigned cpu;
 } orl_widen_config;
@@ -36,6 +36,7 @@ typedef struct {
     orl_sample *rival;                  /* of other suns on trial: [nsamples], */
     float rival_code[ORL_CODE];         /* the best one of the last frame, */
     int rival_stands, sun, round;       /* if there was one; which sun is next, which share of the samples */
+    float (*seen)[3]; int still;        /* samples' colours when the light last changed; frames since */
     int *spot;                          /* [nsamples] pixel of the small view */
     uint8_t *unmasked;                  /* [small pixel] 1 = no person */
     void *adapt_work, *light_block;
@@ -44,7 +45,8 @@ typedef struct {
 
 size_t orl_widen_need(const orl_widen_config *c);
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out);
-/* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status. */
+/* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status.
+ * Where the samples stay within a level of what they were when the light last changed (mean over runs of 16 neighbours; 16 levels at most count of each), codes move for 4 frames more, other suns are tried for another 12, and then the light stands. */
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo);
 /* The wide picture (tight RGB) in the light found last. photo is blended in, if the configuration says so. */
 orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out);
