@@ -193,7 +193,7 @@ static void confine(const state *w, float *code)
         if (k == ORL_C_SUN_EL) code[k] = clampf(code[k], -0.1f, 1.5f);
         else if (k < ORL_C_ENV) code[k] = clampf(code[k], -8, 6);
         else if (k < ORL_C_TONE) code[k] = clampf(code[k], -8, 8);
-        else code[k] = clampf(code[k], -0.9f, 0.9f);
+        else code[k] = clampf(code[k], -1.5f, 1.5f);
     }
 }
 

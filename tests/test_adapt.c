@@ -257,6 +257,26 @@ static void photos_that_mislead(void **state)
     }
 }
 
+/* A filter that makes one channel of the others, from a start that knows it: it is let stand. */
+static void strong_filter(void **state)
+{
+    (void)state;
+    static const float BLUE[3] = { 0.3f, 1.1f, -1.35f };
+    for (int t = 0; t < 3; t++) {
+        float code[ORL_CODE];
+        orl_adapt_result r;
+        make_place(0.2);
+        make_code(code);
+        memcpy(code + ORL_C_TONE + 6, BLUE, sizeof BLUE);
+        make_photo(code, 0.1, 0.01f);
+        orl_adapt_options o = orl_adapt_defaults();
+        o.prior_weight = 0.01f;      /* which holds such filters to be rare */
+        adapt(code, &o, &r);
+        print_message("filter: rms %.4f, blue %.2f of blue\n", error_of(r.code), 1 + (double)r.code[ORL_C_TONE + 8]);
+        assert_true(error_of(r.code) < 0.002 && r.code[ORL_C_TONE + 8] < -1);
+    }
+}
+
 static void hostile_start(void **state)
 {
     (void)state;
@@ -357,7 +377,7 @@ static void as_good_as_adam(void **state)
 int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)seed);
-    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(hostile_start), cmocka_unit_test(as_good_as_adam),
+    const struct CMUnitTest tests[] = { cmocka_unit_test(known_code_is_found), cmocka_unit_test(frozen_parts_hold), cmocka_unit_test(photos_that_say_little), cmocka_unit_test(photos_that_mislead), cmocka_unit_test(strong_filter), cmocka_unit_test(hostile_start), cmocka_unit_test(as_good_as_adam),
                                         cmocka_unit_test(unseen_sky_is_as_elsewhere) };
     return cmocka_run_group_tests(tests, setup, teardown);
 }
