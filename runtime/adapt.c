@@ -38,12 +38,12 @@ typedef struct {
     const orl_light_model *m;
     const orl_sample *s;
     size_t n;
-    float prior_weight, sigma;
+    float prior_weight, sigma, enough;
     int threads;
     uint8_t fixed[N];
 } state;
 
-orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 1, 0 }; }
+orl_adapt_options orl_adapt_defaults(void) { return (orl_adapt_options){ 12, 8, 1.0f, 0.05f, 1, 1e-4f, 0 }; }
 static size_t room(void) { return (sizeof(state) + 63) & ~(size_t)63; }
 size_t orl_adapt_need(void) { return DESKS * room(); }
 
@@ -243,7 +243,7 @@ static void confine(const state *w, float *code)
         if (k == ORL_C_SUN_EL) code[k] = clampf(code[k], -0.1f, 1.5f);
         else if (k < ORL_C_ENV) code[k] = clampf(code[k], -8, 6);
         else if (k < ORL_C_TONE) code[k] = clampf(code[k], -8, 8);
-        else code[k] = clampf(code[k], -0.9f, 0.9f);
+        else code[k] = clampf(code[k], -1.5f, 1.5f);
     }
 }
 
@@ -272,7 +272,7 @@ static void descend(state *w, descent *d, float tau, float tau_end, int max_step
         float shrunk = fmaxf(tau_end, 0.6f * tau);
         evaluate(w, trial.code, tau, shrunk, stride, next);
         double gain = at->cost - next->cost_before;
-        int settled = tau <= tau_end && fabs(gain) < 1e-4 * at->cost + 1e-9;
+        int settled = tau <= tau_end && fabs(gain) < (double)w->enough * at->cost + 1e-9;
         if (gain >= 0) {
             memcpy(d->code, trial.code, sizeof d->code);
             normal *swap = at;
@@ -331,21 +331,31 @@ static void drain(float code[N])
     }
 }
 
+static float per_sample(const normal *q, double cost)
+{
+    double samples = q->weight > 0 ? q->weight : 1;
+    return (float)(cost / (samples < INDEPENDENT ? samples : INDEPENDENT));
+}
+
 static void finish(state *w, const descent *d, const normal *q, int steps, orl_adapt_result *out)
 {
     memcpy(out->code, d->code, sizeof out->code);
     double samples = q->weight > 0 ? q->weight : 1;
-    out->cost = (float)(d->cost / (samples < INDEPENDENT ? samples : INDEPENDENT));
+    out->cost = per_sample(q, d->cost);
     out->rms = q->kept > 0 ? (float)sqrt(q->square / (3 * q->kept)) : 0;
     out->inliers = (float)(q->kept / samples);
     out->iterations = steps;
     out->status = (orl_adapt_status)d->status;
     int definite = factor(w, q, 0);
-    for (int k = 0; k < N; k++) {
-        double x[N] = { 0 };
+    for (int k = 0; k < N; k++) {               /* of the inverse's diagonal: the squared length of a column of L's inverse */
+        double x[N] = { 0 }, sum = 0;
         x[k] = 1;
-        if (definite) solve(w, x);
-        out->std[k] = w->fixed[k] ? 0 : (float)sqrt(fmax(x[k], 0));
+        for (int i = k; definite && i < N; i++) {
+            for (int j = k; j < i; j++) x[i] -= w->l[i][j] * x[j];
+            x[i] /= w->l[i][i];
+            sum += x[i] * x[i];
+        }
+        out->std[k] = w->fixed[k] ? 0 : (float)sqrt(definite ? sum : 1);
     }
 }
 
@@ -358,6 +368,7 @@ static void copy_task(state *to, const state *w)
     to->n = w->n;
     to->prior_weight = w->prior_weight;
     to->sigma = w->sigma;
+    to->enough = w->enough;
     to->threads = 1;
     memcpy(to->fixed, w->fixed, sizeof to->fixed);
 }
@@ -373,21 +384,42 @@ static void try_starts(void *user, int begin, int end)
         }
 }
 
-orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
-                  const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out)
+static orl_err short_of_work(size_t bytes) { return orl_fail(ORL_E_MEMORY, "adapt: work block of %zu bytes, %zu needed, aligned to 64", bytes, orl_adapt_need()); }
+static orl_err out_of_range(const orl_adapt_options *o) { return orl_fail(ORL_E_RANGE, "adapt: sigma %g, prior weight %g or %d azimuths out of range", o->sigma, o->prior_weight, o->azimuths); }
+
+static int begin(state *w, const orl_light_model *m, const orl_sample *s, size_t n, const orl_adapt_options *o)
 {
-    if (work_bytes < orl_adapt_need() || ((uintptr_t)work & 63)) return orl_fail(ORL_E_MEMORY, "adapt: work block of %zu bytes, %zu needed, aligned to 64", work_bytes, orl_adapt_need());
-    orl_adapt_options o = opt ? *opt : orl_adapt_defaults();
-    if (!(o.sigma > 0) || !(o.prior_weight >= 0) || o.azimuths < 0 || o.azimuths > 64) return orl_fail(ORL_E_RANGE, "adapt: sigma %g, prior weight %g or %d azimuths out of range", o.sigma, o.prior_weight, o.azimuths);
-    state *w = work;
+    if (!(o->sigma > 0) || !(o->prior_weight >= 0) || o->azimuths < 0 || o->azimuths > 64) return 0;
     w->m = m;
     w->s = s;
     w->n = n;
-    w->prior_weight = o.prior_weight;
-    w->sigma = o.sigma;
-    w->threads = o.threads;
+    w->prior_weight = o->prior_weight;
+    w->sigma = o->sigma;
+    w->enough = o->enough;
+    w->threads = o->threads;
     for (int k = 0; k < N; k++)
-        w->fixed[k] = (k < ORL_C_SHADOW && (o.frozen & 1)) || (k >= ORL_C_SHADOW && k < ORL_C_TONE && (o.frozen & 2)) || (k >= ORL_C_TONE && (o.frozen & 4)) || (k < ORL_C_SUN_RGB && (o.frozen & 8));
+        w->fixed[k] = (k < ORL_C_SHADOW && (o->frozen & 1)) || (k >= ORL_C_SHADOW && k < ORL_C_TONE && (o->frozen & 2)) || (k >= ORL_C_TONE && (o->frozen & 4)) || (k < ORL_C_SUN_RGB && (o->frozen & 8));
+    return 1;
+}
+
+orl_err orl_adapt_cost(const orl_light_model *m, const orl_sample *s, size_t n, const float code[ORL_CODE], const orl_adapt_options *opt, void *work, size_t work_bytes, float *cost)
+{
+    orl_adapt_options o = opt ? *opt : orl_adapt_defaults();
+    state *w = work;
+    if (work_bytes < orl_adapt_need() || ((uintptr_t)work & 63)) return short_of_work(work_bytes);
+    if (!begin(w, m, s, n, &o)) return out_of_range(&o);
+    evaluate(w, code, TAU_SIGMAS * o.sigma, TAU_SIGMAS * o.sigma, 1, &w->eq[0]);
+    *cost = per_sample(&w->eq[0], w->eq[0].cost);
+    return ORL_OK;
+}
+
+orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
+                  const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out)
+{
+    if (work_bytes < orl_adapt_need() || ((uintptr_t)work & 63)) return short_of_work(work_bytes);
+    orl_adapt_options o = opt ? *opt : orl_adapt_defaults();
+    state *w = work;
+    if (!begin(w, m, s, n, &o)) return out_of_range(&o);
     descent from = { .cost = 0 }, best[2] = { { .cost = INFINITY }, { .cost = INFINITY } };
     for (int k = 0; k < N; k++) from.code[k] = init && init[k] - init[k] == 0 ? init[k] : m->prior_mean[k];
     confine(w, from.code);

@@ -3,7 +3,7 @@
 #define RUNTIME_BENCH_H
 #include "oriel/view.h"
 #include "runtime/kernels/shade.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 enum { ORL_BENCH_RUNS = 9, ORL_BENCH_POINTS = 96, ORL_BENCH_SAME_DB = 999 };     /* SAME_DB: what stands for an infinite PSNR */
 

@@ -4,7 +4,7 @@
 #include <unistd.h>
 #include "runtime/baked.h"
 #include "runtime/commands.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 static const char HELP[] =
     "Usage: oriel bake --scene FILE --pose FILE [OPTION]... -o VIEW\n"

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include "oriel/cpu.h"
 #include "runtime/commands.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 enum { RUNS = 5 };
 

@@ -4,7 +4,7 @@
 #include <string.h>
 #include "oriel/cpu.h"
 #include "runtime/commands.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 static const char HELP[] =
     "Usage: oriel extend --scene FILE (--pose FILE | --colmap DIR) [OPTION]... PHOTO -o WIDE\n"

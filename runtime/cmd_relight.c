@@ -11,7 +11,7 @@
 #include "runtime/commands.h"
 #include "oriel/relight.h"
 #include "runtime/sink.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 static const char HELP[] =
     "Usage: oriel relight --scene FILE --sky SKY (--pose FILE | --colmap DIR --photo NAME) [OPTION]... -o PICTURE\n"

@@ -3,7 +3,7 @@
 #define RUNTIME_RUN_H
 #include "oriel/sink.h"
 #include "oriel/source.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 
 typedef struct { long frames; int adapt_every, realtime; } orl_run_options;      /* frames 0: until the source ends */
 typedef struct { long frames, lost; double total, seconds[4]; } orl_run_figures;                        /* read, adapt, render, emit; sums over all pictures */

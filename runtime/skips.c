@@ -4,7 +4,7 @@
 #include <string.h>
 
 const struct orl_skip orl_skip_list[ORL_SKIPS] = {
-    { "photo", ORL_SKIP_PHOTO }, { "sky", ORL_SKIP_SKY }, { "shadow", ORL_SKIP_SHADOW }, { "same", ORL_SKIP_SAME }, { "empty", ORL_SKIP_EMPTY } };
+    { "photo", ORL_SKIP_PHOTO }, { "sky", ORL_SKIP_SKY }, { "shadow", ORL_SKIP_SHADOW }, { "same", ORL_SKIP_SAME }, { "empty", ORL_SKIP_EMPTY }, { "light", ORL_SKIP_LIGHT } };
 
 orl_err orl_skips_parse(const char *text, unsigned *out)
 {
@@ -13,7 +13,7 @@ orl_err orl_skips_parse(const char *text, unsigned *out)
         int k = 0;
         n = strcspn(text, ",");
         while (k < ORL_SKIPS && (strlen(orl_skip_list[k].name) != n || strncmp(orl_skip_list[k].name, text, n))) k++;
-        if (k == ORL_SKIPS) return orl_fail(ORL_E_RANGE, "--no-skip: %.*s is none of photo, sky, shadow, same, empty", (int)n, text);
+        if (k == ORL_SKIPS) return orl_fail(ORL_E_RANGE, "--no-skip: %.*s is none of photo, sky, shadow, same, empty, light", (int)n, text);
         bits |= orl_skip_list[k].bit;
     }
     *out = bits;

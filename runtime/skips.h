@@ -4,7 +4,7 @@
 #include "oriel/scene.h"
 #include "oriel/view.h"
 
-enum { ORL_SKIPS = 5 };
+enum { ORL_SKIPS = 6 };
 extern const struct orl_skip { const char *name; unsigned bit; } orl_skip_list[ORL_SKIPS];
 
 /* text: names with commas between, NULL: all. ORL_E_RANGE names the one that is none. */

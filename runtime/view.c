@@ -649,6 +649,47 @@ static int lifted(const orl_view *v, int x, int y, const float n[3], double o[3]
 
 typedef struct { orl_view *v; const orl_light *l; int y0; orl_vis_tab vis, between; uint8_t *ceiling; orl_kernels k; } trace_job;
 
+/* A ceiling hides a sun of this elevation as a horizon does that stands as far above the sun as the ceiling below it. */
+static void mirror_ceilings(const orl_view *v, const orl_light *l, size_t at, orl_sample *s)
+{
+    const float unit = 1.57079633f / 255, zenith = 1.57079633f, el = l->code[ORL_C_SUN_EL];
+    for (int i = 0; i < ORL_HORIZON; i++) {
+        size_t k = (size_t)i * plane_size(v) + at;
+        float up = (float)v->horizon[k] * unit, hidden = v->ceiling[k] ? 2 * el - (float)(255 - v->ceiling[k]) * unit : 0;
+        s->horizon[i] = hidden > up ? hidden < zenith ? hidden : zenith : up;
+    }
+}
+
+static void sunlit(const orl_view *v, orl_march *m, orl_sample *const of[ORL_RAYS])
+{
+    orl_march_run(v->scene, 0, m);
+    for (int k = 0; k < m->n; k++) of[k]->fix += m->rays.t[k] < 0;
+    m->n = 0;
+}
+
+void orl_view_sample_sun(const orl_view *v, const orl_light *l, const int *spot, int step, orl_sample *s, int n)
+{
+    const float *sun = l->sun_dir;
+    orl_sample *of[ORL_RAYS];
+    orl_march m;
+    m.n = 0;
+    for (int i = 0; i < n; i++) {
+        int x = spot[i * step] % v->w, y = spot[i * step] / v->w;
+        size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
+        const float *normal = s[i].normal;
+        double o[3];
+        s[i].fix = 0;
+        if (v->ceiling) { mirror_ceilings(v, l, at, &s[i]); continue; }
+        if (!v->cov[at] || !v->scene->lite || !(sun[2] > 0)) continue;
+        s[i].fix = -orl_light_sun_visibility(l, &s[i]);
+        if (!(normal[0] * sun[0] + normal[1] * sun[1] + normal[2] * sun[2] > 0) || !lifted(v, x, y, normal, o)) continue;
+        of[m.n] = &s[i];
+        orl_march_begin(v->scene, o, (const double[3]){ sun[0], sun[1], sun[2] }, 0, &m);
+        if (m.n == ORL_RAYS) sunlit(v, &m, of);
+    }
+    if (m.n) sunlit(v, &m, of);
+}
+
 static int faces_sun(const trace_job *j, size_t at, float n[3])
 {
     const float *s = j->l->sun_dir;

@@ -1,5 +1,5 @@
-/* Photo -> wide picture (runtime/widen.h): observe, adapt, re-light, shade, blend. */
-#include "runtime/widen.h"
+/* Photo -> wide picture (include/oriel/widen.h): observe, adapt, re-light, shade, blend. */
+#include "oriel/widen.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,6 +9,15 @@
 #include "runtime/arena.h"
 
 enum { SMALL_SIDE = 200, SAMPLES = 1500, CANDIDATES = 2, TRACES = 2, BANDS = 32 };    /* TRACES: of a sun that was just found, each followed by a better one; BANDS: frames that a creeping sun's trace takes */
+enum { SUNS = 24, RIVALS = 2, ROUNDS = 6, SHARE = 4 };     /* other suns; of these, tried a frame; rounds of them over a first photo; samples of which a rival sees one */
+enum { MEET = 2, CANDIDATE = 4, PROVE = 4 };                /* steps of a rival on its share, of a training photo's light, and of a winner on all samples */
+enum { SETTLES = 4, WATCHES = SETTLES + SUNS / RIVALS };    /* frames of a light that stands in which codes still move; in which other suns are still tried */
+enum { RUN = 16 };
+#define STILL (1 / 255.0f)              /* change of the samples below which light stands, */
+#define JUMP (12 / 255.0f)              /* above which it is another photo, */
+#define PASSER (16 / 255.0f)            /* each counted up to here: who passes is no light */
+#define ENOUGH 1e-3f                    /* a step that gains less of the cost is the last */
+#define BETTER 0.997f                   /* what a rival must bring the cost down to */
 #define SUN_CREEPS 0.99996f             /* cosine of half a degree: less is no move */
 #define SUN_JUMPS 0.9986f               /* of 3 degrees */
 
@@ -55,6 +64,8 @@ static void lay_out(orl_arena *a, const orl_widen_config *c, orl_widen *w, block
     w->nsamples = pick(s.w, s.h, NULL);
     w->light = orl_arena_take(a, sizeof *w->light);
     w->samples = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->samples);
+    w->rival = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->rival);
+    w->seen = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->seen);
     w->spot = orl_arena_take(a, (size_t)w->nsamples * sizeof *w->spot);
     w->unmasked = orl_arena_take(a, (size_t)s.w * (size_t)s.h);
     w->adapt_work = orl_arena_take(a, orl_adapt_need());
@@ -92,14 +103,10 @@ static void average(const orl_camera *photo, int sw, int sh, int sx, int sy, con
     }
 }
 
-static void sample_small(orl_widen *w)
+/* The sun of a light to n samples: every step-th pixel, from the first-th on. */
+static void face_sun(const orl_widen *w, const orl_light *l, int first, int step, orl_sample *s, int n)
 {
-    for (int i = 0; i < w->nsamples; i++) {
-        orl_sample *s = &w->samples[i], was = *s;
-        orl_view_sample(&w->small, w->spot[i] % w->small.w, w->spot[i] / w->small.w, s);
-        memcpy(s->rgb, was.rgb, sizeof s->rgb);
-        s->weight = was.weight;
-    }
+    orl_view_sample_sun(&w->small, l, w->spot + first, step, s, n);
 }
 
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out)
@@ -140,7 +147,7 @@ orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl
         w.unmasked[i] = !person;
     }
     memset(w.samples, 0, (size_t)w.nsamples * sizeof *w.samples);
-    sample_small(&w);
+    for (int i = 0; i < w.nsamples; i++) orl_view_sample(&w.small, w.spot[i] % s.w, w.spot[i] / s.w, &w.samples[i]);
     *out = w;
     return ORL_OK;
 }
@@ -182,8 +189,104 @@ static orl_err fit(orl_widen *w, const float *init, orl_adapt_result *out)
 {
     orl_adapt_options opt = orl_adapt_defaults();
     opt.threads = w->config.threads;
+    opt.enough = ENOUGH;
     w->starts++;
     return orl_adapt(&w->config.scene->light, w->samples, (size_t)w->nsamples, init, &opt, w->adapt_work, orl_adapt_need(), out);
+}
+
+/* ---- rivals */
+
+/* A sun's true place shows by shadows, and shadows make many local minima: descents from the last codes would stay behind a sun that wanders. So a few other suns are tried in every frame, each in the shadows that it
+ * casts itself, on a share of the samples; the best one meets the light found on another share in the next frame, and takes its place if it still explains the photo better, now on all samples. */
+
+static float wrapped(float a)
+{
+    const float pi = 3.14159265f;
+    return a > pi ? a - 2 * pi : a < -pi ? a + 2 * pi : a;
+}
+
+/* Suns 0..7 stand 6 degrees from that of the code, 8..15 18 degrees, the others around the sky. */
+static void move_sun(int sun, float *code)
+{
+    static const float WAY[8][2] = { { 1, 0 }, { -1, 0 }, { 0, 1 }, { 0, -1 }, { 0.7f, 0.7f }, { -0.7f, -0.7f }, { -0.7f, 0.7f }, { 0.7f, -0.7f } };
+    float *az = &code[ORL_C_SUN_AZ], *el = &code[ORL_C_SUN_EL], far = sun < 8 ? 0.105f : 0.314f;
+    if (sun < 16) {
+        *az = wrapped(*az + far * WAY[sun % 8][0] / fmaxf(0.3f, 1 - 0.4f * *el * *el));
+        *el = fminf(fabsf(*el + far * WAY[sun % 8][1]), 1.5f);
+    } else {
+        *az = wrapped((float)(sun - 20) * 0.785398f + 0.3f);
+        *el = sun & 1 ? 0.45f : 1;
+    }
+}
+
+/* Some of the samples, into w->rival: their number. */
+static int draw(orl_widen *w, int share)
+{
+    int n = 0;
+    for (int i = w->round % share; i < w->nsamples; i += share) w->rival[n++] = w->samples[i];
+    return n;
+}
+
+/* A few steps from a code on, in the shadows of its own sun. */
+static orl_err race(orl_widen *w, const float *code, int share, int steps, orl_adapt_result *out)
+{
+    const orl_light_model *m = &w->config.scene->light;
+    orl_adapt_options opt = orl_adapt_defaults();
+    int n = draw(w, share);
+    orl_light_decode(m, code, w->light);
+    face_sun(w, w->light, w->round % share, share, w->rival, n);
+    w->starts++;
+    opt.max_iterations = steps;
+    opt.enough = ENOUGH;
+    orl_err e = orl_adapt(m, w->rival, (size_t)n, code, &opt, w->adapt_work, orl_adapt_need(), out);
+    if (!e && out->status == ORL_ADAPT_DEGENERATE) out->cost = INFINITY;
+    return e;
+}
+
+/* The cost of a code on a share of the samples, in the shadows that they have. */
+static orl_err cost_on_share(orl_widen *w, const float *code, float *cost)
+{
+    int n = draw(w, SHARE);
+    return orl_adapt_cost(&w->config.scene->light, w->rival, (size_t)n, code, NULL, w->adapt_work, orl_adapt_need(), cost);
+}
+
+/* A code against the light found, r, that costs `here` on the share. */
+static orl_err duel(orl_widen *w, const float *code, int steps, float here, orl_adapt_result *r, int *beaten)
+{
+    orl_adapt_result there;
+    orl_err e = race(w, code, SHARE, steps, &there);
+    if (e || !(there.cost < BETTER * here)) return e;
+    e = race(w, there.code, 1, PROVE, &there);
+    if (e || !(there.cost < BETTER * r->cost)) return e;
+    orl_sample *swap = w->samples;
+    w->samples = w->rival;
+    w->rival = swap;
+    *r = there;
+    *beaten = 1;
+    return ORL_OK;
+}
+
+/* A frame's round: w->light is left in disorder. */
+static orl_err challenge(orl_widen *w, orl_adapt_result *r, int *beaten)
+{
+    float here, code[ORL_CODE];
+    orl_adapt_result there;
+    *beaten = 0;
+    orl_err e = cost_on_share(w, r->code, &here);
+    if (!e && w->rival_stands) e = duel(w, w->rival_code, MEET, here, r, beaten);
+    w->rival_stands = 0;
+    float least = BETTER * here;
+    for (int k = 0; !e && !*beaten && k < RIVALS; k++, w->sun = (w->sun + 1) % SUNS) {
+        memcpy(code, r->code, sizeof code);
+        move_sun(w->sun, code);
+        e = race(w, code, SHARE, MEET, &there);
+        if (e || !(there.cost < least)) continue;
+        least = there.cost;
+        w->rival_stands = 1;
+        memcpy(w->rival_code, there.code, sizeof code);
+    }
+    w->round = (w->round + 1) % SHARE;
+    return e;
 }
 
 /* ---- the sun's way ---- */
@@ -206,44 +309,21 @@ static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
     s->row = end;
 }
 
-static void follow_in_small(orl_widen *w)
-{
-    follow_sun(w, &w->small, &w->small_sun);
-    sample_small(w);
-}
-
-/* A light that was just found, by horizons alone, and the light that its traced sun leads to. */
-static orl_err settle(orl_widen *w)
-{
-    for (int k = 0; k < TRACES; k++) {
-        orl_adapt_result r;
-        follow_in_small(w);
-        orl_err e = fit(w, w->fit.code, &r);
-        if (e) return e;
-        if (r.status != ORL_ADAPT_DEGENERATE) w->fit = r;
-        orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
-    }
-    return ORL_OK;
-}
-
 /* ---- the light ---- */
 
-/* From the prior's starts, and from the training photos whose light comes nearest. */
-static orl_err fit_cold(orl_widen *w)
+/* The training photos whose light comes nearest; their number. */
+static int candidates(orl_widen *w, const float *best[CANDIDATES])
 {
     const orl_scene *s = w->config.scene;
-    orl_adapt_result r;
-    orl_err e = fit(w, NULL, &r);
-    if (e) return e;
-    w->fit = r;
-    const float *best[CANDIDATES] = { NULL };
     float score[CANDIDATES];
+    int n = 0;
     for (uint32_t i = 0; i < s->ncodes; i++) {
         const float *code = s->codes + (size_t)i * ORL_CODE;
         float m = misfit(w, code, 8);
         for (int k = 0; k < CANDIDATES; k++)
-            if (!best[k] || m < score[k]) {
-                for (int j = CANDIDATES - 1; j > k; j--) {
+            if (k == n || m < score[k]) {
+                n += n < CANDIDATES;
+                for (int j = n - 1; j > k; j--) {
                     best[j] = best[j - 1];
                     score[j] = score[j - 1];
                 }
@@ -252,15 +332,28 @@ static orl_err fit_cold(orl_widen *w)
                 break;
             }
     }
-    for (int k = 0; k < CANDIDATES && best[k]; k++)
-        if (!(e = fit(w, best[k], &r)) && r.status != ORL_ADAPT_DEGENERATE && r.cost < w->fit.cost) w->fit = r;
-    return e;
+    return n;
 }
 
-static float wrapped(float a)
+/* From the prior's starts by horizons alone; then in the shadows that the sun found casts; then against the training photos' lights and a first few rounds of other suns. */
+static orl_err fit_cold(orl_widen *w)
 {
-    const float pi = 3.14159265f;
-    return a > pi ? a - 2 * pi : a < -pi ? a + 2 * pi : a;
+    const float *best[CANDIDATES];
+    orl_adapt_result r;
+    float here;
+    int beaten;
+    orl_err e = fit(w, NULL, &w->fit);
+    if (e || w->fit.status == ORL_ADAPT_DEGENERATE) return e;
+    for (int k = 0; !e && k < TRACES; k++) {
+        orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+        face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
+        e = fit(w, w->fit.code, &r);
+        if (!e && r.status != ORL_ADAPT_DEGENERATE) w->fit = r;
+    }
+    for (int k = 0, n = candidates(w, best); !e && k < n; k++)
+        if (!(e = cost_on_share(w, w->fit.code, &here))) e = duel(w, best[k], CANDIDATE, here, &w->fit, &beaten);
+    for (int k = 0; !e && k < ROUNDS; k++) e = challenge(w, &w->fit, &beaten);
+    return e;
 }
 
 /* From the last codes. Where they still explained the photo nearly as well, the step is noise and passers-by for the most part: take half of it, so that the light does not flicker. */
@@ -271,9 +364,11 @@ static orl_err fit_warm(orl_widen *w)
     memcpy(old, w->fit.code, sizeof old);
     orl_err e = fit(w, old, &r);
     if (e) return e;
+    int beaten = 0;
+    if (r.status != ORL_ADAPT_DEGENERATE && (e = challenge(w, &r, &beaten))) return e;
     if (r.status == ORL_ADAPT_DEGENERATE) {
         memcpy(r.code, old, sizeof old);
-    } else if (misfit(w, old, 1) < 1.1f * misfit(w, r.code, 1) + 1e-4f) {
+    } else if (!beaten && misfit(w, old, 1) < 1.1f * misfit(w, r.code, 1) + 1e-4f) {
         for (int k = 0; k < ORL_CODE; k++) {
             float step = r.code[k] - old[k];
             r.code[k] = old[k] + 0.5f * (k == ORL_C_SUN_AZ ? wrapped(step) : step);
@@ -284,24 +379,96 @@ static orl_err fit_warm(orl_widen *w)
     return ORL_OK;
 }
 
+/* Mean change of the samples' colours since the light last changed, by runs of RUN neighbours: noise is gone in their means, light is not. */
+static float change(const orl_widen *w)
+{
+    float sum = 0, runs = 0;
+    for (int i = 0; i < w->nsamples; i += RUN, runs++) {
+        float most = 0;
+        for (int c = 0; c < 3; c++) {
+            float d = 0, n = 0;
+            for (int k = i; k < i + RUN && k < w->nsamples; k++) {
+                const orl_sample *s = &w->samples[k];
+                d += s->weight * fminf(fmaxf(s->rgb[c] - w->seen[k][c], -PASSER), PASSER);
+                n += s->weight;
+            }
+            most = n > 0 ? fmaxf(most, fabsf(d) / n) : most;
+        }
+        sum += most;
+    }
+    return sum / runs;
+}
+
+/* Has the photo little to do with that which samples were seen in last? */
+static int another(const orl_widen *w)
+{
+    float sum = 0, n = 0;
+    for (int i = 0; i < w->nsamples; i++)
+        for (int c = 0; c < 3; c++) {
+            sum += w->samples[i].weight * fminf(fabsf(w->samples[i].rgb[c] - w->seen[i][c]), PASSER);
+            n += w->samples[i].weight;
+        }
+    return sum > JUMP * n;
+}
+
+/* Such a photo: its light might be found sooner from nothing than from a light that was another's, or a broken picture's. */
+static orl_err look_again(orl_widen *w)
+{
+    const orl_adapt_result was = w->fit;
+    float cost = INFINITY;
+    orl_err e = ORL_OK;
+    if (was.status != ORL_ADAPT_DEGENERATE) {
+        orl_light_decode(&w->config.scene->light, was.code, w->light);
+        face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
+        e = orl_adapt_cost(&w->config.scene->light, w->samples, (size_t)w->nsamples, was.code, NULL, w->adapt_work, orl_adapt_need(), &cost);
+    }
+    for (int i = 0; i < w->nsamples; i++) {         /* as a first photo finds them: no sun traced */
+        orl_sample *s = &w->samples[i], seen = *s;
+        orl_view_sample(&w->small, w->spot[i] % w->small.w, w->spot[i] / w->small.w, s);
+        memcpy(s->rgb, seen.rgb, sizeof s->rgb);
+        s->weight = seen.weight;
+    }
+    if (!e) e = fit_cold(w);
+    if (w->fit.status == ORL_ADAPT_DEGENERATE || !(w->fit.cost < BETTER * cost)) w->fit = was;
+    return e;
+}
+
+/* Frames since the light last changed: 0 if it does now. Slow change adds up, for frames are held against the first of them. */
+static int still(orl_widen *w)
+{
+    if (w->adapted && change(w) < STILL) return w->still < WATCHES ? w->still + 1 : w->still;
+    for (int i = 0; i < w->nsamples; i++) memcpy(w->seen[i], w->samples[i].rgb, sizeof *w->seen);
+    return 0;
+}
+
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
 {
     const orl_sun_trace was = w->wide_sun;
+    int beaten = 0;
+    orl_err e = ORL_OK;
     w->starts = 0;
     observe(w, photo);
-    orl_err e = w->adapted ? fit_warm(w) : fit_cold(w);
+    const int other = w->adapted && another(w);
+    w->still = w->config.no_skip & ORL_SKIP_LIGHT ? 0 : still(w);
+    if (!w->adapted) e = fit_cold(w);
+    else if (w->still < SETTLES) {
+        e = fit_warm(w);
+        if (!e && other) e = look_again(w);
+    }
+    else if (w->still < WATCHES) e = challenge(w, &w->fit, &beaten);
     if (e) return e;
-    int found = w->fit.status != ORL_ADAPT_DEGENERATE, first = found && !w->adapted;
+    int found = w->fit.status != ORL_ADAPT_DEGENERATE;
     w->adapted |= found;
-    orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
-    if (first) e = settle(w);
-    else if (found) follow_in_small(w);
-    if (e) return e;
+    if (w->starts) orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
+    if (w->starts && found) face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
     if (found && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
-    if (w->tables) memcpy(w->last_light, w->tables, orl_view_light_need());
-    const int first_tables = !w->tables;
-    w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
-    if (first_tables || memcmp(&was, &w->wide_sun, sizeof was) || memcmp(w->last_light, w->light_block, orl_view_light_need())) w->same = 0;
+    if (w->starts) {
+        if (w->tables) memcpy(w->last_light, w->tables, orl_view_light_need());
+        else w->same = 0;
+        w->tables = orl_view_light_make(&w->wide, w->light, w->light_block, orl_view_light_need());
+        if (memcmp(w->last_light, w->light_block, orl_view_light_need())) w->same = 0;
+    }
+    if (memcmp(&was, &w->wide_sun, sizeof was)) w->same = 0;
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }
 

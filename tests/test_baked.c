@@ -3,7 +3,7 @@
 #include <math.h>
 #include "oriel/cpu.h"
 #include "runtime/baked.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 #include "tests/synth_scene.h"
 
 enum { W = 96, H = 64 };

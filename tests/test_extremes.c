@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include "oriel/cpu.h"
 #include "runtime/kernels/shade.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 #include "tests/synth_scene.h"
 
 static orl_scene scene;
@@ -242,7 +242,7 @@ static void test_frames(void **state)
                 for (int q = 0; q < 3; q++) err += fabs((double)(rgb[q] - w.samples[i].rgb[q])) * 255 / (3 * w.nsamples);
             }
             print_message("%-18s %-6s then a good one: off by %.2f levels\n", KIND[k], first ? "first," : "later,", err);
-            if (!(err < 6)) fail_msg("%s: a good frame after it is off by %.2f levels", KIND[k], err);
+            if (!(err < 1)) fail_msg("%s: a good frame after it is off by %.2f levels", KIND[k], err);
         }
     free(block); free(tables); free(room); free(l);
 }

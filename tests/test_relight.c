@@ -4,7 +4,7 @@
 #include <math.h>
 #include "oriel/sink.h"
 #include "oriel/relight.h"
-#include "runtime/widen.h"
+#include "oriel/widen.h"
 #include "tests/allocations.h"
 #include "tests/synth_scene.h"
 

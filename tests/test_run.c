@@ -184,6 +184,40 @@ static void threads_and_kernels_agree(void **state)
         }
 }
 
+/* A light that stands costs nothing after a while, noise and passers-by do not wake it, a change of exposure does; the picture is nearly that of --no-skip. */
+static void light_that_stands(void **state)
+{
+    (void)state;
+    static uint8_t photo[W * H * 3], got[2][W * H * 3];
+    enum { LONG = 30, ASLEEP = 20 };
+    uint32_t noise = 7;
+    for (int no_skip = 0; no_skip < 2; no_skip++) {
+        orl_widen_config c = { .scene = &scene, .photo = cam, .wide = wide_cam, .photo_pose = pose, .wide_pose = pose, .no_skip = no_skip, .threads = 1, .cpu = ORL_CPU_REF };
+        orl_widen w;
+        void *block = orl_widen_block(orl_widen_need(&c));
+        assert_int_equal(orl_widen_init(&c, block, orl_widen_need(&c), &w), ORL_OK);
+        for (int i = 0; i < LONG; i++) {
+            memcpy(photo, clip[0], sizeof photo);
+            for (int k = 0; k < W * H * 3; k++) {
+                noise = noise * 1664525u + 1013904223u;
+                int v = photo[k] + (int)(noise >> 30) - 1;
+                photo[k] = (uint8_t)(v < 0 ? 0 : v > 255 ? 255 : v);
+            }
+            for (int y = H / 2; i > ASLEEP && y < H; y++) memset(photo + (y * W + i) * 3, 20, 3 * 4);      /* somebody walks by */
+            assert_int_equal(orl_widen_adapt(&w, photo), ORL_OK);
+            assert_true(no_skip || i < ASLEEP ? w.starts > 0 || i > 15 : w.starts == 0);
+        }
+        assert_int_equal(orl_widen_render(&w, photo, got[no_skip]), ORL_OK);
+        assert_int_equal(orl_widen_adapt(&w, clip[JUMP]), ORL_OK);
+        assert_true(w.starts > 0);
+        assert_int_equal(orl_widen_render(&w, clip[JUMP], photo), ORL_OK);
+        assert_true(mean_error(photo, truth[JUMP]) < 2.5);
+        free(block);
+    }
+    print_message("with and without: %.2f levels apart\n", mean_error(got[0], got[1]));
+    assert_true(mean_error(got[0], got[1]) < 1 && mean_error(got[0], truth[0]) < 2.5);
+}
+
 static void options(void **state)
 {
     (void)state;
@@ -197,7 +231,7 @@ static void options(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(follows_the_light), cmocka_unit_test(allocates_nothing), cmocka_unit_test(repeats_lost_pictures), cmocka_unit_test(threads_and_kernels_agree), cmocka_unit_test(options),
+        cmocka_unit_test(follows_the_light), cmocka_unit_test(allocates_nothing), cmocka_unit_test(repeats_lost_pictures), cmocka_unit_test(threads_and_kernels_agree), cmocka_unit_test(light_that_stands), cmocka_unit_test(options),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

@@ -2,6 +2,7 @@
 #include "tests/scratch.h"
 #include <math.h>
 #include "oriel/cpu.h"
+#include "oriel/image.h"
 #include "oriel/view.h"
 #include "tests/synth_scene.h"
 #include "trainer/truth.h"
@@ -167,6 +168,92 @@ static void factors_are_their_own_truth(void **state)
     assert_true(get(f, n, "albedo_psnr") < 30);                 /* no scale makes a pattern grey */
 }
 
+/* ---- a clip ---- */
+
+enum { CLIP = 12, CLIP_JUMP = 6 };
+
+static void camera_line(FILE *f, const char *name, const orl_camera *c, const orl_pose *p)
+{
+    double q[4];
+    orl_pose_to_quat(p, q);
+    fprintf(f, "%s PINHOLE %d %d %.12f %.12f %.12f %.12f %.12f %.12f %.12f %.12f %.12f %.12f %.12f\n", name, c->w, c->h, c->fx, c->fy, c->cx, c->cy,
+            q[0], q[1], q[2], q[3], p->t[0], p->t[1], p->t[2]);
+}
+
+/* The view under a light, as path. */
+static void shoot(orl_view *v, const float *code, const char *path)
+{
+    orl_image im;
+    void *room = aligned_alloc(64, (orl_view_light_need() + 63) & ~(size_t)63);
+    assert_int_equal(orl_image_alloc(&im, v->w, v->h, 3), ORL_OK);
+    orl_light_decode(&scene.light, code, &light);
+    orl_view_trace_sun(v, &light, 0, v->h, ORL_CPU_REF, 1);
+    orl_view_shade(v, orl_view_light_make(v, &light, room, orl_view_light_need()), ORL_CPU_REF, 0, v->h, im.px, (size_t)v->w * 3);
+    assert_int_equal(orl_image_write(path, &im), ORL_OK);
+    orl_image_free(&im);
+    free(room);
+}
+
+static void kiosk_is_its_own_truth(void **state)
+{
+    (void)state;
+    orl_camera wide = synth_camera(160, 112, 75), near = synth_camera(160, 112, 45);
+    orl_view v[2];
+    void *room[2];
+    const orl_camera *cam[2] = { &near, &wide };
+    if (!strstr(orl_image_formats(), "jpeg")) skip();
+    make_way(at("kiosk/frames/"));
+    make_way(at("kiosk/gt_wide/"));
+    for (int k = 0; k < 2; k++) {
+        room[k] = aligned_alloc(64, (orl_view_need(160, 112) + 63) & ~(size_t)63);
+        assert_int_equal(orl_view_build(&scene, cam[k], &photo.pose, 2, 1, room[k], orl_view_need(160, 112), &v[k]), ORL_OK);
+    }
+    FILE *f = fopen(at("kiosk/camera.txt"), "w"), *j = fopen(at("kiosk/frames.json"), "w");
+    assert_true(f && j);
+    camera_line(f, "frames", &near, &photo.pose);
+    camera_line(f, "gt_wide", &wide, &photo.pose);
+    fprintf(j, "{\"exposure_jump_frame\": %d, \"frames\": [", CLIP_JUMP);
+    for (int i = 0; i < CLIP; i++) {
+        float code[ORL_CODE];
+        memcpy(code, scene.light.prior_mean, sizeof code);
+        code[ORL_C_SUN_AZ] = 0.5f + 0.06f * (float)i;
+        code[ORL_C_SUN_EL] = 0.6f;
+        for (int k = 0; k < 3; k++) code[ORL_C_TONE + 4 * k] += i >= CLIP_JUMP ? -0.25f : 0;
+        shoot(&v[0], code, at("kiosk/frames/%04d.jpg", i));
+        if (i % 4 == 2) shoot(&v[1], code, at("kiosk/gt_wide/%04d.jpg", i));
+        const double sun[3] = { light.sun_dir[0], light.sun_dir[1], light.sun_dir[2] };
+        double world[3];
+        to_world(sun, world);
+        fprintf(j, "%s{\"frame\": %d, \"sun_dir\": [%.9f, %.9f, %.9f]}", i ? ", " : "", i, world[0], world[1], world[2]);
+    }
+    fprintf(j, "]}\n");
+    fclose(f);
+    fclose(j);
+    figure got[TRUTH_FIGURES];
+    int n = 0;
+    assert_int_equal(truth_kiosk(&data, &scene, &OPTIONS, got, &n), ORL_OK);
+    double psnr = get(got, n, "outside_psnr"), ssim = get(got, n, "outside_ssim"), ratio = get(got, n, "temporal_ratio");
+    print_message("outside %.1f dB, SSIM %.3f; sun %.1f degrees off; render changes %.2f times as much; %.0f frames after the jump\n", psnr, ssim, get(got, n, "kiosk_sun_median_deg"), ratio, get(got, n, "jump_frames"));
+    assert_true(psnr > 28 && ssim > 0.9 && get(got, n, "kiosk_sun_median_deg") < 8);
+    assert_true(ratio > 0.5 && ratio < 1.2 && get(got, n, "jump_frames") <= 1);
+
+    orl_image black;                            /* a wide truth that shows nothing of the kind */
+    assert_int_equal(orl_image_alloc(&black, 160, 112, 3), ORL_OK);
+    assert_int_equal(orl_image_write(at("kiosk/gt_wide/0002.jpg"), &black), ORL_OK);
+    n = 0;
+    assert_int_equal(truth_kiosk(&data, &scene, &OPTIONS, got, &n), ORL_OK);
+    assert_true(get(got, n, "outside_psnr") < psnr - 5 && get(got, n, "outside_ssim") < ssim - 0.1);
+    orl_image_free(&black);
+    assert_int_equal(orl_image_alloc(&black, 80, 112, 3), ORL_OK);
+    assert_int_equal(orl_image_write(at("kiosk/gt_wide/0002.jpg"), &black), ORL_OK);
+    n = 0;
+    assert_int_equal(truth_kiosk(&data, &scene, &OPTIONS, got, &n), ORL_E_FORMAT);
+    assert_int_equal(n, 0);
+    orl_image_free(&black);
+    free(room[0]);
+    free(room[1]);
+}
+
 static void truth_of_another_size_is_refused(void **state)
 {
     (void)state;
@@ -184,6 +271,6 @@ static void truth_of_another_size_is_refused(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(geometry_is_its_own_truth), cmocka_unit_test(factors_are_their_own_truth), cmocka_unit_test(truth_of_another_size_is_refused) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(geometry_is_its_own_truth), cmocka_unit_test(factors_are_their_own_truth), cmocka_unit_test(kiosk_is_its_own_truth), cmocka_unit_test(truth_of_another_size_is_refused) };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

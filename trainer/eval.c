@@ -227,7 +227,7 @@ static const char HELP[] =
     "      --geometry        depth, normals, sky against SCENE/gt instead, SfM points held out from training, and\n"
     "                        transients against SCENE/masks; each where the SCENE and the checkpoint have what it takes\n"
     "      --factors         base colour, sun, views under other skies against SCENE/gt instead\n"
-    "      --kiosk           widened frames and their sun against SCENE/kiosk instead\n"
+    "      --kiosk           SCENE/kiosk, a clip, through the loop of `oriel run` instead: widened frames, sun, flicker\n"
     "      --threads N       default: one per core\n"
     "      --json            figures as JSON\n";
 

@@ -72,7 +72,15 @@ orl_err orl_metrics_psnr(const orl_imagef *truth, const orl_imagef *test, int x0
 
 /* ---- SSIM ---- */
 
-orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, double *ssim)
+/* Does a window lie wholly in where? NULL: all of the picture. */
+static int window_in(const uint8_t *where, int w, int x, int y)
+{
+    for (int v = y - SSIM_RADIUS; where && v <= y + SSIM_RADIUS; v++)
+        for (int u = x - SSIM_RADIUS; u <= x + SSIM_RADIUS; u++) if (!where[(size_t)v * (size_t)w + (size_t)u]) return 0;
+    return 1;
+}
+
+static orl_err ssim_of(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, const uint8_t *where, double *ssim)
 {
     enum { A, B, AA, BB, AB, PLANES };
     orl_err e = check(truth, test, x0, x1, 2 * SSIM_RADIUS + 1);
@@ -86,6 +94,7 @@ orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0
     for (int k = 0; k <= 2 * r; k++) g[k] /= norm;
 
     double sum = 0;
+    size_t windows = 0;
     for (int ch = 0; ch < 3; ch++) {
         plane(truth, x0, x1, ch, p[A]);
         plane(test, x0, x1, ch, p[B]);
@@ -96,16 +105,22 @@ orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0
         for (int k = 0; k < PLANES; k++) filter(p[k], w, h, g, g, r, mem + PLANES * n, p[k]);
         for (int y = r; y < h - r; y++)
             for (int x = r; x < w - r; x++) {
+                if (!window_in(where, w, x, y)) continue;
                 size_t i = (size_t)y * (size_t)w + (size_t)x;
+                windows++;
                 double a = p[A][i], b = p[B][i], va = p[AA][i] - a * a, vb = p[BB][i] - b * b, vab = p[AB][i] - a * b;
                 a += 0.5; b += 0.5;
                 sum += (2 * a * b + 1e-4) * (2 * vab + 9e-4) / ((a * a + b * b + 1e-4) * (va + vb + 9e-4));
             }
     }
-    *ssim = sum / (3.0 * (w - 2 * r) * (h - 2 * r));
     free(mem);
+    if (!windows) return orl_fail(ORL_E_RANGE, "ssim: no window of %d x %d pixels lies within what is to be scored", 2 * r + 1, 2 * r + 1);
+    *ssim = sum / (double)windows;
     return ORL_OK;
 }
+
+orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, double *ssim) { return ssim_of(truth, test, x0, x1, NULL, ssim); }
+orl_err orl_metrics_ssim_where(const orl_imagef *truth, const orl_imagef *test, const uint8_t *where, double *ssim) { return ssim_of(truth, test, 0, truth->w, where, ssim); }
 
 /* ---- FLIP ---- */
 

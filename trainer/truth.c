@@ -1,4 +1,4 @@
-/* Figures against ground truth (truth.h): SCENE/gt holds depth, normals, base colour and other skies of the test photos, SCENE/masks transients, SCENE/kiosk a clip with the wide truth. */
+/* Figures against ground truth (truth.h): SCENE/gt holds depth, normals, base colour and other skies of the test photos, SCENE/masks transients; SCENE/kiosk, a clip, is trainer/kiosk.c's. */
 #include "trainer/truth.h"
 #include <dirent.h>
 #include <math.h>
@@ -33,8 +33,7 @@ static orl_err read_truth(const orl_dataset *d, const orl_photo *p, const char *
     return ORL_OK;
 }
 
-/* Rotation world -> scene frame out of the scene's similarity. */
-static void scene_rotation(const orl_scene *s, double R[9])
+void truth_rotation(const orl_scene *s, double R[9])
 {
     const double *m = s->world_to_grid;
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
@@ -175,7 +174,7 @@ static orl_err against_depth(const orl_dataset *d, const orl_scene *s, int threa
     double R[9], unit, angle[2] = { 0 }, *rel[2] = { NULL, NULL };      /* near, all */
     size_t n[2] = { 0 }, cap = 0, sky = 0, covered = 0, near = 0;
     orl_err e = unit_of_metre(d, &unit);
-    scene_rotation(s, R);
+    truth_rotation(s, R);
     for (uint32_t i = 0; !e && i < d->nphotos; i++) {
         const orl_photo *p = &d->photos[i];
         if (!p->test) continue;
@@ -291,8 +290,7 @@ orl_err truth_geometry(const orl_dataset *d, const orl_scene *s, const truth_opt
     return e;
 }
 
-/* Sun's direction that a JSON text gives after `key`; 0 if it gives none. */
-static int sun_after(const char *json, const char *key, double dir[3])
+int truth_sun_after(const char *json, const char *key, double dir[3])
 {
     const char *at = strstr(json, key);
     if (at) at = strstr(at, "\"sun_dir\":");
@@ -304,11 +302,10 @@ static int true_sun(const char *json, const orl_photo *p, double dir[3])
 {
     char key[300];
     snprintf(key, sizeof key, "\"%.*s\":", (int)strcspn(p->name, "."), p->name);
-    return sun_after(json, key, dir);
+    return truth_sun_after(json, key, dir);
 }
 
-/* Angle between the sun of a code (scene frame) and a true one (world). */
-static double sun_error(const double R[9], const float *code, const double world[3])
+double truth_sun_error(const double R[9], const float *code, const double world[3])
 {
     double az = code[ORL_C_SUN_AZ], el = code[ORL_C_SUN_EL], ours[3] = { cos(az) * cos(el), sin(az) * cos(el), sin(el) }, sun[3];
     to_scene(R, world, sun);
@@ -464,7 +461,7 @@ orl_err truth_factors(const orl_dataset *d, const orl_scene *s, const truth_opti
     snprintf(path, sizeof path, "%s/gt/photo_params.json", d->dir);
     orl_err e = orl_file_read(path, 1 << 24, &json, &bytes);
     if (e) return e;
-    scene_rotation(s, R);
+    truth_rotation(s, R);
     for (uint32_t i = 0; !e && i < d->nphotos; i++) {
         const orl_photo *p = &d->photos[i];
         orl_imagef depth = { 0 }, colour = { 0 };
@@ -479,7 +476,7 @@ orl_err truth_factors(const orl_dataset *d, const orl_scene *s, const truth_opti
         if (!e) base_colour(&v, &depth, &colour, albedo, &pixels);
         if (!e) e = relit_views(d, s, p, &v, R, o->threads, &depth, &colour, &relit);
         if (!e && nsuns < MOST_SUNS && true_sun((char *)json, p, sun) && !(e = light_of_half(s, p, o, &fit))) {
-            suns[nsuns] = sun_error(R, fit.code, sun);
+            suns[nsuns] = truth_sun_error(R, fit.code, sun);
             near[nsuns++] = nearest_sun(d, (char *)json, p, other) ? angle_deg(sun, other) : 180;
         }
         free(mem);
@@ -502,71 +499,4 @@ orl_err truth_factors(const orl_dataset *d, const orl_scene *s, const truth_opti
     }
     *count = (int)(f - out);
     return ORL_OK;
-}
-
-/* The recorded clip: light from each frame that has a wide truth, the wide view under it, PSNR outside the frame; mean over frames. */
-orl_err truth_kiosk(const orl_dataset *d, const orl_scene *s, const truth_options *o, figure out[TRUTH_FIGURES], int *count)
-{
-    char path[2048];
-    orl_view_pose pose[2];
-    int lines, frames = 0;
-    double sum = 0, R[9], suns[MOST_SUNS];
-    size_t nsuns = 0, bytes;
-    uint8_t *json = NULL;
-    orl_view near, wide;
-    void *mem[2] = { NULL, NULL };
-    orl_light *light = malloc(sizeof *light);
-    snprintf(path, sizeof path, "%s/kiosk/camera.txt", d->dir);
-    orl_err e = light ? orl_posefile_read(path, pose, 2, &lines) : orl_fail(ORL_E_MEMORY, "eval: no memory for a light");
-    if (!e && lines < 2) e = orl_fail(ORL_E_FORMAT, "%s: no second line (the wide view)", path);
-    if (!e) e = predict_view(s, &pose[0].cam, &pose[0].pose, 2, o->threads, &near, &mem[0]);
-    if (!e) e = predict_view(s, &pose[1].cam, &pose[1].pose, 2, o->threads, &wide, &mem[1]);
-    snprintf(path, sizeof path, "%s/kiosk/frames.json", d->dir);
-    if (!e && !access(path, R_OK)) e = orl_file_read(path, 1 << 24, &json, &bytes);
-    scene_rotation(s, R);
-    for (int f = 0; !e && f < 10000; f++) {
-        orl_image frame = { 0 }, truth = { 0 }, ours = { 0 };
-        orl_adapt_result fit;
-        snprintf(path, sizeof path, "%s/kiosk/gt_wide/%04d.jpg", d->dir, f);
-        if (access(path, R_OK)) continue;
-        e = orl_image_read(path, 3, &truth);
-        snprintf(path, sizeof path, "%s/kiosk/frames/%04d.jpg", d->dir, f);
-        if (!e) e = orl_image_read(path, 3, &frame);
-        if (!e && (frame.w != near.w || frame.h != near.h || truth.w != wide.w || truth.h != wide.h))
-            e = orl_fail(ORL_E_FORMAT, "%s: frame or truth not of the camera's size", path);
-        if (!e) e = predict_light(s, &near, &frame, o->threads, &fit);
-        if (!e) {
-            orl_light_decode(&s->light, fit.code, light);
-            e = predict_shade(&wide, light, o->threads, orl_cpu_detect(), &ours);
-        }
-        if (!e && json) {
-            double sun[3];
-            char key[32];
-            snprintf(key, sizeof key, "\"frame\": %d,", f);
-            if (nsuns < MOST_SUNS && sun_after((char *)json, key, sun)) suns[nsuns++] = sun_error(R, fit.code, sun);
-        }
-        if (!e) {
-            double err = 0;
-            size_t n = 0;
-            for (int y = 0; y < wide.h; y++)
-                for (int x = 0; x < wide.w; x++) {
-                    double ray[3], uv[2];
-                    orl_camera_unproject(&wide.cam, x + 0.5, y + 0.5, ray);
-                    if (orl_camera_project(&near.cam, ray, uv) && uv[0] >= 0 && uv[1] >= 0 && uv[0] < near.w && uv[1] < near.h) continue;
-                    for (int c = 0; c < 3; c++, n++) {
-                        size_t at = ((size_t)y * (size_t)wide.w + (size_t)x) * 3 + (size_t)c;
-                        double r = (ours.px[at] - truth.px[at]) / 255.0;
-                        err += r * r;
-                    }
-                }
-            sum += -10 * log10(fmax(err / (double)(n ? n : 1), 1e-9));
-            frames++;
-        }
-        orl_image_free(&frame); orl_image_free(&truth); orl_image_free(&ours);
-    }
-    free(mem[0]); free(mem[1]); free(light); free(json);
-    if (!e && !frames) e = orl_fail(ORL_E_IO, "%s/kiosk/gt_wide: no frame", d->dir);
-    if (!e) out[(*count)++] = (figure){ sum / frames, "outside_psnr", 3 };
-    if (!e && nsuns) out[(*count)++] = (figure){ order_median(suns, nsuns), "kiosk_sun_median_deg", 2 };
-    return e;
 }

@@ -11,6 +11,7 @@ typedef struct {
     float prior_weight;     /* times the prior's quadratic form; default 1 */
     float sigma;            /* noise of a residual at rgb scale; default 0.05 */
     int threads;            /* that share the samples; default 1, <= 0: one per core. The same bits for any number */
+    float enough;           /* a step that gains less, as a share of the cost, is the last; default 1e-4 */
     unsigned frozen;        /* bit 0: l_e fixed, bit 1: l_s fixed, bit 2: l_t fixed, bit 3: sun direction fixed */
 } orl_adapt_options;
 typedef struct {
@@ -31,4 +32,6 @@ size_t orl_adapt_need(void);                            /* bytes of work memory,
  * Of a black-and-white photo (98 % of the weight within 2.5 levels of grey) the tone is the same for all channels. */
 orl_err orl_adapt(const orl_light_model *m, const orl_sample *s, size_t n, const float *init,
                   const orl_adapt_options *opt, void *work, size_t work_bytes, orl_adapt_result *out);
+/* orl_adapt_result.cost of any code on any samples. */
+orl_err orl_adapt_cost(const orl_light_model *m, const orl_sample *s, size_t n, const float code[ORL_CODE], const orl_adapt_options *opt, void *work, size_t work_bytes, float *cost);
 #endif

@@ -14,6 +14,8 @@ typedef struct { double psnr, ssim, flip; } orl_score;
 orl_err orl_metrics_psnr(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, double *db);
 /* Wang et al. 2004: 11-tap Gaussian, sigma 1.5, windows wholly inside (so at least 11 x 11 pixels), K1 0.01, K2 0.03, mean over RGB. */
 orl_err orl_metrics_ssim(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, double *ssim);
+/* The same over the windows that lie wholly on pixels with where != 0 (w * h, rows tight); ORL_E_RANGE if there are none. */
+orl_err orl_metrics_ssim_where(const orl_imagef *truth, const orl_imagef *test, const uint8_t *where, double *ssim);
 /* Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020; mean over pixels, 0 (same) .. 1. */
 orl_err orl_metrics_flip(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, double *flip);
 orl_err orl_metrics_score(const orl_imagef *truth, const orl_imagef *test, int x0, int x1, orl_score *out);

@@ -11,7 +11,8 @@ enum {
     ORL_SKIP_SHADOW = 4,            /* shadow features of a scene that has none */
     ORL_SKIP_SAME = 8,              /* shading once more in the light of the last picture */
     ORL_SKIP_EMPTY = 16,            /* steps through bricks known to be empty: the scene's brick map */
-    ORL_SKIP_ALL = 31
+    ORL_SKIP_LIGHT = 32,            /* the search for a light where nothing changed */
+    ORL_SKIP_ALL = 63
 };
 
 /* Structure of arrays, rows padded to a multiple of 32 pixels (stride). Owned by the caller's block. */
@@ -51,6 +52,9 @@ orl_err orl_view_attach(const orl_view *from, void *block, size_t bytes, orl_vie
 
 /* Dequantised pixel for adaptation (rgb and weight left 0). */
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out);
+
+/* Traces a light's sun for such samples of n pixels alone, spot[0], spot[step], .. (y w + x each): by one ray, which sets fix, or by a baked view's ceilings, which set the horizon. */
+void orl_view_sample_sun(const orl_view *v, const orl_light *l, const int *spot, int step, orl_sample *s, int n);
 
 /* Whether the sun of a light reaches the pixels of rows [y0, y1), by rays from ORL_SUN_LIFT cells over the surface: one from every other pixel of every other row, and from those that look at the sun while what
  * is known of their neighbours differs; a sun under the horizon is left to the horizons. Goes on counting as the

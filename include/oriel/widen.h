@@ -1,9 +1,9 @@
-/* One camera, one wide view: what `extend` does once and `run` every frame. Private to the runtime.
+/* One camera, one wide view: what `extend` does once and `run` every frame.
  *
  * A small view at the photo's camera serves adaptation, marched where adaptation looks alone; the wide view, marched where the photo does not stand alone, is re-lit and shaded; the blend lays the photo in. Everything lives in the caller's block;
  * after orl_widen_init nothing is allocated. Same bytes for any number of threads, any kernel and machine. */
-#ifndef RUNTIME_WIDEN_H
-#define RUNTIME_WIDEN_H
+#ifndef ORIEL_WIDEN_H
+#define ORIEL_WIDEN_H
 #include "oriel/adapt.h"
 #include "oriel/blend.h"
 #include "oriel/view.h"
@@ -26,13 +26,17 @@ typedef struct { float dir[3]; int row, traced; } orl_sun_trace;
 typedef struct {
     orl_widen_config config;
     orl_view small, wide;
-    orl_sun_trace small_sun, wide_sun;
+    orl_sun_trace wide_sun;
     orl_blend *blend;                   /* NULL without */
     orl_adapt_result fit;               /* of the last adaptation */
     int adapted;                        /* fit.code holds a light */
     int starts;                         /* adaptations run for the last frame */
     orl_light *light;
     orl_sample *samples; int nsamples;
+    orl_sample *rival;                  /* of other suns on trial: [nsamples], */
+    float rival_code[ORL_CODE];         /* the best one of the last frame, */
+    int rival_stands, sun, round;       /* if there was one; which sun is next, which share of the samples */
+    float (*seen)[3]; int still;        /* samples' colours when the light last changed; frames since */
     int *spot;                          /* [nsamples] pixel of the small view */
     uint8_t *unmasked;                  /* [small pixel] 1 = no person */
     void *adapt_work, *light_block, *last_light;        /* last_light: the tables before */
@@ -43,7 +47,8 @@ typedef struct {
 
 size_t orl_widen_need(const orl_widen_config *c);
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out);
-/* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status. */
+/* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status.
+ * Where the samples stay within a level of what they were when the light last changed (mean over runs of 16 neighbours; 16 levels at most count of each), codes move for 4 frames more, other suns are tried for another 12, and then the light stands. */
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo);
 /* The wide picture (tight RGB) in the light found last. photo is blended in, if the configuration says so. */
 orl_err orl_widen_render(orl_widen *w, const uint8_t *photo, uint8_t *out);
