@@ -67,7 +67,7 @@ static void report(const orl_widen *w, const double *t)
     printf("adaptation  %s after %d iterations, %d runs, rms %.4f, inliers %.3f, cost %.4f\n", STATUS[r->status], r->iterations, w->starts, (double)r->rms, (double)r->inliers, (double)r->cost);
     printf("sun         azimuth %.1f, elevation %.1f degrees, direction %.3f %.3f %.3f, irradiance %.3f %.3f %.3f\n", (double)r->code[ORL_C_SUN_AZ] * 57.29578,
            (double)r->code[ORL_C_SUN_EL] * 57.29578, (double)s[0], (double)s[1], (double)s[2], (double)w->light->sun_rgb[0], (double)w->light->sun_rgb[1], (double)w->light->sun_rgb[2]);
-    printf("seconds     read %.3f, views %.3f, adapt %.3f, render %.3f, write %.3f\n", t[1] - t[0], t[2] - t[1], t[3] - t[2], t[4] - t[3], t[5] - t[4]);
+    printf("seconds     read %.3f, views and light %.3f, render %.3f, write %.3f\n", t[1] - t[0], t[2] - t[1], t[3] - t[2], t[4] - t[3]);
 }
 
 static orl_err extend(const options *o)
@@ -77,7 +77,7 @@ static orl_err extend(const options *o)
     orl_view_pose from, to;
     orl_widen w;
     void *block = NULL;
-    double t[6] = { orl_seconds() };
+    double t[5] = { orl_seconds() };
     orl_err e = orl_place_open(o->scene, &scene);
     if (e) return e;
     if ((e = orl_image_read(o->photo, 3, &photo))) goto done;
@@ -95,18 +95,16 @@ static orl_err extend(const options *o)
     block = orl_widen_block(need);
     if ((e = block ? orl_image_alloc(&wide, to.cam.w, to.cam.h, 3) : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to.cam.w, to.cam.h))) goto done;
     t[1] = orl_seconds();
-    if ((e = orl_widen_init(&c, block, need, &w))) goto done;
+    if ((e = orl_widen_start(&c, photo.px, block, need, &w))) goto done;
     t[2] = orl_seconds();
-    if ((e = orl_widen_adapt(&w, photo.px))) goto done;
-    t[3] = orl_seconds();
     if (w.fit.status == ORL_ADAPT_DEGENERATE) {
         e = orl_fail(ORL_E_DEGENERATE, "%s: nothing in it tells the light (wrong pose, or all masked)", o->photo);
         goto done;
     }
     if ((e = orl_widen_render(&w, photo.px, wide.px))) goto done;
-    t[4] = orl_seconds();
+    t[3] = orl_seconds();
     if ((e = orl_image_write(o->out, &wide))) goto done;
-    t[5] = orl_seconds();
+    t[4] = orl_seconds();
     if (o->report) report(&w, t);
 done:
     free(block);

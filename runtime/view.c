@@ -81,7 +81,7 @@ enum { TILE = 15, FINE = 8, TILE_RAYS = 256 };       /* pixels a side whose rays
 _Static_assert((TILE + 1) * (TILE + 1) <= (int)TILE_RAYS && 4 * FINE * FINE <= (int)TILE_RAYS && (int)TILE_RAYS <= (int)ORL_RAYS, "a tile's rays");
 #define COARSE_PIXEL 1.0             /* cells */
 
-typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; int ss, across; double origin[3]; uint8_t albedo[ALBEDOS]; } build_job;       /* across: tiles in a row of them */
+typedef struct { const orl_scene *s; orl_view *v; const uint8_t *wanted; const orl_beside *beside; int ss, across; double origin[3]; uint8_t albedo[ALBEDOS]; } build_job;       /* across: tiles in a row of them */
 
 /* The ground as in SCENE.md 4.8, in double with + - * / only: height over it, where it is met, and its colour. */
 static double over_ground(const orl_scene *s, const double x[3]) { return x[2] - (s->ground[0] + s->ground[1] * x[0] + s->ground[2] * x[1]); }
@@ -342,10 +342,13 @@ static void build_tile(const build_job *j, int x0, int y0, int w, int h, const p
         }
 }
 
+/* The first GRAIN of them stand for what is done beside. */
 static void build_tiles(void *user, int begin, int end)
 {
     const build_job *j = user;
-    for (int i = begin; i < end; i++) {
+    const int first = j->beside ? GRAIN : 0;
+    if (begin < first) { j->beside->fn(j->beside->user); return; }
+    for (int i = begin - first; i < end - first; i++) {
         int x = i % j->across * TILE, y = i / j->across * TILE;
         build_tile(j, x, y, j->v->w - x < TILE ? j->v->w - x : TILE, j->v->h - y < TILE ? j->v->h - y : TILE, j->ss == 1 ? &MIDDLES : &CORNERS);
     }
@@ -405,10 +408,10 @@ static int all_finite(const double *v, int n) { for (int i = 0; i < n; i++) if (
 
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out)
 {
-    return orl_view_build_some(s, cam, pose, supersample, NULL, threads, block, bytes, out);
+    return orl_view_build_some(s, cam, pose, supersample, NULL, NULL, threads, block, bytes, out);
 }
 
-orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out)
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, const orl_beside *beside, int threads, void *block, size_t bytes, orl_view *out)
 {
     const double lens[] = { cam->fx, cam->fy, cam->cx, cam->cy, cam->k1, cam->k2, cam->p1, cam->p2 }, *R = pose->R, *m = s->world_to_grid;
     if (!s->bmap) return orl_fail(ORL_E_DEGENERATE, "view: the scene has no geometry (a sky file?)");
@@ -420,7 +423,7 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
     if (!(det > 0.9 && det < 1.1)) return orl_fail(ORL_E_DEGENERATE, "view: the pose's matrix is not a rotation (determinant %g)", det);
     if (bytes < orl_view_need(cam->w, cam->h) || ((uintptr_t)block & 63)) return orl_fail(ORL_E_MEMORY, "view: block of %zu bytes, %zu aligned to 64 wanted", bytes, orl_view_need(cam->w, cam->h));
     orl_view v = { .w = cam->w, .h = cam->h, .stride = orl_view_stride(cam->w), .cam = *cam, .pose = *pose, .scene = s };
-    build_job j = { s, &v, wanted, supersample, (cam->w + TILE - 1) / TILE, { 0 }, { 0 } };
+    build_job j = { s, &v, wanted, beside, supersample, (cam->w + TILE - 1) / TILE, { 0 }, { 0 } };
     albedo_bytes(j.albedo);
     place(&v, block);
     double scale = sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]), centre[3];
@@ -433,7 +436,7 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
     orl_parallel(threads, v.h, 4 * GRAIN, clear_rows, &v);
     if (s->shadow) memcpy(v.phi_scale, s->shadow_scale, sizeof v.phi_scale);
     build_sky(&v);
-    orl_parallel(threads, j.across * ((v.h + TILE - 1) / TILE), GRAIN, build_tiles, &j);
+    orl_parallel(threads, (beside ? GRAIN : 0) + j.across * ((v.h + TILE - 1) / TILE), GRAIN, build_tiles, &j);
     *out = v;
     return ORL_OK;
 }

@@ -109,49 +109,6 @@ static void face_sun(const orl_widen *w, const orl_light *l, int first, int step
     orl_view_sample_sun(&w->small, l, w->spot + first, step, s, n);
 }
 
-orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out)
-{
-    orl_arena a = { block, 0 };
-    orl_widen w;
-    blocks b;
-    memset(&w, 0, sizeof w);
-    w.config = *c;
-    if (bytes < orl_widen_need(c)) return orl_fail(ORL_E_MEMORY, "widen: the block is too small");
-    lay_out(&a, c, &w, &b);
-    orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
-    orl_err e = ORL_OK;
-    pick(s.w, s.h, w.spot);
-    if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, c->threads, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
-    if (e) return e;
-    if (c->baked) {
-        e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
-        if (!e) e = orl_view_attach(&c->baked[1], b.wide, orl_view_attach_need(c->wide.w, c->wide.h), &w.wide);
-    } else {
-        memset(b.wanted, 0, (size_t)s.w * (size_t)s.h);
-        for (int i = 0; i < w.nsamples; i++) b.wanted[w.spot[i]] = 1;
-        e = orl_view_build_some(c->scene, &s, &c->photo_pose, 2, b.wanted, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
-        for (int y = 0, x0 = 0, x1 = 0; y < c->wide.h; y++) {
-            uint8_t *row = b.wanted + (size_t)y * (size_t)c->wide.w;
-            if (w.blend && !(c->no_skip & ORL_SKIP_PHOTO)) orl_blend_covered(w.blend, y, &x0, &x1);
-            memset(row, 1, (size_t)c->wide.w);
-            memset(row + x0, 0, (size_t)(x1 - x0));
-        }
-        if (!e) e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, 2, b.wanted, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
-    }
-    w.wide.no_skip = c->no_skip;
-    if (e) return e;
-    if (w.blend) orl_blend_layers(w.blend, w.wide.cov, (size_t)w.wide.stride);
-    for (int i = 0; i < s.w * s.h; i++) {
-        uint64_t person = 0;
-        if (c->mask) average(&c->photo, s.w, s.h, i % s.w, i / s.w, c->mask, 1, &person);
-        w.unmasked[i] = !person;
-    }
-    memset(w.samples, 0, (size_t)w.nsamples * sizeof *w.samples);
-    for (int i = 0; i < w.nsamples; i++) orl_view_sample(&w.small, w.spot[i] % s.w, w.spot[i] / s.w, &w.samples[i]);
-    *out = w;
-    return ORL_OK;
-}
-
 /* ---- the light of a photo ---- */
 
 static void observe(orl_widen *w, const uint8_t *photo)
@@ -441,9 +398,9 @@ static int still(orl_widen *w)
     return 0;
 }
 
-orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
+/* The light of a photo. */
+static orl_err find(orl_widen *w, const uint8_t *photo)
 {
-    const orl_sun_trace was = w->wide_sun;
     int beaten = 0;
     orl_err e = ORL_OK;
     w->starts = 0;
@@ -461,7 +418,14 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     w->adapted |= found;
     if (w->starts) orl_light_decode(&w->config.scene->light, w->fit.code, w->light);
     if (w->starts && found) face_sun(w, w->light, 0, 1, w->samples, w->nsamples);
-    if (found && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
+    return ORL_OK;
+}
+
+/* And the wide view in it. */
+static orl_err follow(orl_widen *w)
+{
+    const orl_sun_trace was = w->wide_sun;
+    if (w->fit.status != ORL_ADAPT_DEGENERATE && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
     if (w->starts) {
         if (w->tables) memcpy(w->last_light, w->tables, orl_view_light_need());
         else w->same = 0;
@@ -471,6 +435,75 @@ orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
     if (memcmp(&was, &w->wide_sun, sizeof was)) w->same = 0;
     return w->tables ? ORL_OK : orl_fail(ORL_E_MEMORY, "widen: no room for the light's tables");
 }
+
+orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo)
+{
+    orl_err e = find(w, photo);
+    return e ? e : follow(w);
+}
+
+/* ---- beginning ---- */
+
+typedef struct { orl_widen *w; const uint8_t *photo; orl_err e; } first_light;
+static void find_first(void *user)
+{
+    first_light *f = user;
+    f->e = find(f->w, f->photo);
+}
+
+static orl_err begin(const orl_widen_config *c, const uint8_t *photo, void *block, size_t bytes, orl_widen *out)
+{
+    orl_arena a = { block, 0 };
+    orl_widen w;
+    blocks b;
+    memset(&w, 0, sizeof w);
+    w.config = *c;
+    if (bytes < orl_widen_need(c)) return orl_fail(ORL_E_MEMORY, "widen: the block is too small");
+    lay_out(&a, c, &w, &b);
+    orl_camera s = c->baked ? c->baked[0].cam : orl_widen_small(&c->photo);
+    orl_err e = ORL_OK;
+    pick(s.w, s.h, w.spot);
+    if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, c->threads, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
+    if (e) return e;
+    if (c->baked) {
+        e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
+    } else {
+        memset(b.wanted, 0, (size_t)s.w * (size_t)s.h);
+        for (int i = 0; i < w.nsamples; i++) b.wanted[w.spot[i]] = 1;
+        e = orl_view_build_some(c->scene, &s, &c->photo_pose, 2, b.wanted, NULL, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
+    }
+    if (e) return e;
+    for (int i = 0; i < s.w * s.h; i++) {
+        uint64_t person = 0;
+        if (c->mask) average(&c->photo, s.w, s.h, i % s.w, i / s.w, c->mask, 1, &person);
+        w.unmasked[i] = !person;
+    }
+    memset(w.samples, 0, (size_t)w.nsamples * sizeof *w.samples);
+    for (int i = 0; i < w.nsamples; i++) orl_view_sample(&w.small, w.spot[i] % s.w, w.spot[i] / s.w, &w.samples[i]);
+    first_light first = { &w, photo, ORL_OK };
+    if (c->baked) {
+        e = orl_view_attach(&c->baked[1], b.wide, orl_view_attach_need(c->wide.w, c->wide.h), &w.wide);
+        if (!e && photo) find_first(&first);
+    } else {
+        for (int y = 0, x0 = 0, x1 = 0; y < c->wide.h; y++) {
+            uint8_t *row = b.wanted + (size_t)y * (size_t)c->wide.w;
+            if (w.blend && !(c->no_skip & ORL_SKIP_PHOTO)) orl_blend_covered(w.blend, y, &x0, &x1);
+            memset(row, 1, (size_t)c->wide.w);
+            memset(row + x0, 0, (size_t)(x1 - x0));
+        }
+        e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, 2, b.wanted, photo ? &(orl_beside){ find_first, &first } : NULL, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+    }
+    if (e) return e;
+    if (first.e) return orl_fail(first.e, "widen: the first photo's light cannot be looked for");
+    w.wide.no_skip = c->no_skip;
+    if (w.blend) orl_blend_layers(w.blend, w.wide.cov, (size_t)w.wide.stride);
+    if (photo && (e = follow(&w))) return e;
+    *out = w;
+    return ORL_OK;
+}
+
+orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out) { return begin(c, NULL, block, bytes, out); }
+orl_err orl_widen_start(const orl_widen_config *c, const uint8_t *photo, void *block, size_t bytes, orl_widen *out) { return begin(c, photo, block, bytes, out); }
 
 /* ---- the picture ---- */
 

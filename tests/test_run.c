@@ -228,10 +228,30 @@ static void options(void **state)
     assert_memory_not_equal(out.got[1], out.got[2], sizeof *out.got);
 }
 
+/* Light found while the wide view is marched is the light found after it, and so is the picture; threads or not. */
+static void start_is_init_and_adapt(void **state)
+{
+    (void)state;
+    static uint8_t wide[2][W * H * 3];
+    for (int threads = 1; threads <= 3; threads++) {
+        orl_widen_config c = { .scene = &scene, .photo = cam, .wide = wide_cam, .photo_pose = pose, .wide_pose = pose, .blend = 1, .threads = threads, .cpu = orl_cpu_detect() };
+        orl_widen a, b;
+        void *room[2] = { orl_widen_block(orl_widen_need(&c)), orl_widen_block(orl_widen_need(&c)) };
+        assert_int_equal(orl_widen_init(&c, room[0], orl_widen_need(&c), &a), ORL_OK);
+        assert_int_equal(orl_widen_adapt(&a, clip[0]), ORL_OK);
+        assert_int_equal(orl_widen_start(&c, clip[0], room[1], orl_widen_need(&c), &b), ORL_OK);
+        assert_memory_equal(a.fit.code, b.fit.code, sizeof a.fit.code);
+        assert_int_equal(orl_widen_render(&a, clip[0], wide[0]), ORL_OK);
+        assert_int_equal(orl_widen_render(&b, clip[0], wide[1]), ORL_OK);
+        assert_memory_equal(wide[0], wide[1], sizeof wide[0]);
+        for (int k = 0; k < 2; k++) free(room[k]);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(follows_the_light), cmocka_unit_test(allocates_nothing), cmocka_unit_test(repeats_lost_pictures), cmocka_unit_test(threads_and_kernels_agree), cmocka_unit_test(light_that_stands), cmocka_unit_test(options),
+        cmocka_unit_test(start_is_init_and_adapt), cmocka_unit_test(follows_the_light), cmocka_unit_test(allocates_nothing), cmocka_unit_test(repeats_lost_pictures), cmocka_unit_test(threads_and_kernels_agree), cmocka_unit_test(light_that_stands), cmocka_unit_test(options),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }

@@ -40,8 +40,9 @@ size_t orl_view_need(int w, int h);                                 /* bytes, 64
 /* Marches every pixel; supersample 1 or 2. 1: one ray through its middle. 2: four rays, attributes averaged, coverage counted: through its corners, shared with its neighbours, or where a pixel is wider than
  * a cell a quarter of it from its sides. Rays are marched in floats (runtime/kernels/rays.h); bit-identical for any thread count and machine. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
-/* The same of pixels that are wanted alone ([h][w], nonzero; NULL: all): the others hold sky. */
-orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, int threads, void *block, size_t bytes, orl_view *out);
+/* The same of pixels that are wanted alone ([h][w], nonzero; NULL: all): the others hold sky. beside: other work, which one of the threads does while the others march; NULL: none. */
+typedef struct { void (*fn)(void *user); void *user; } orl_beside;
+orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, const uint8_t *wanted, const orl_beside *beside, int threads, void *block, size_t bytes, orl_view *out);
 
 /* Baking: horizons and ceilings traced for the pixels themselves, after which no sun needs the scene. Between its horizon and its ceiling, the widest gap of an azimuth, a sun shines on a pixel.
  * ceiling: [16][stride h], the caller's, zeroed; v->ceiling when all rows are done. Bit-identical for any thread count. */

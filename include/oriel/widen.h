@@ -47,6 +47,8 @@ typedef struct {
 
 size_t orl_widen_need(const orl_widen_config *c);
 orl_err orl_widen_init(const orl_widen_config *c, void *block, size_t bytes, orl_widen *out);
+/* The same, and orl_widen_adapt for a first photo, while the wide view is marched. */
+orl_err orl_widen_start(const orl_widen_config *c, const uint8_t *photo, void *block, size_t bytes, orl_widen *out);
 /* Finds the light of a photo (tight RGB): from several starts the first time, then from the last codes. ORL_E_DEGENERATE is not an error here: see fit.status.
  * Where the samples stay within a level of what they were when the light last changed (mean over runs of 16 neighbours; 16 levels at most count of each), codes move for 4 frames more, other suns are tried for another 12, and then the light stands. */
 orl_err orl_widen_adapt(orl_widen *w, const uint8_t *photo);
