@@ -265,7 +265,7 @@ static void test_some(void **state)
     build(&all, &cam, &pose, 2, 1);
     build(&some, &cam, &pose, 2, 1);
     for (int i = 0; i < W * H; i++) wanted[i] = (uint8_t)(i % 7 == 0 || (i / W > 20 && i % W < 30));
-    assert_int_equal(orl_view_build_some(&scene, &cam, &pose, 2, wanted, 3, some.block, some.bytes, &some.v), ORL_OK);
+    assert_int_equal(orl_view_build_some(&scene, &cam, &pose, 2, wanted, NULL, 3, some.block, some.bytes, &some.v), ORL_OK);
     for (int y = 0; y < H; y++) for (int x = 0; x < W; x++) {
         orl_sample a, b;
         orl_view_sample(&all.v, x, y, &a);
