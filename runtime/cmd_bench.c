@@ -192,11 +192,12 @@ static orl_err march(const options *o, const orl_scene *s, const orl_view_pose *
     size_t need = orl_view_need(to->cam.w, to->cam.h);
     void *block = orl_widen_block(need);
     orl_err e = block ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for a view of %d x %d", to->cam.w, to->cam.h);
-    for (int ss = 1; !e && ss <= 2; ss++) {
+    static const char *const NAME[] = { "view, 1 ray a pixel", "view, 4 rays a pixel", "view, rays through corners" };
+    for (int ss = ORL_RAYS_MIDDLE; !e && ss <= ORL_RAYS_CORNERS; ss++) {
         orl_view v;
         double a = orl_seconds();
         e = orl_view_build(s, &to->cam, &to->pose, ss, 1, block, need, &v);
-        if (!e) say(o, ss == 1 ? "view, 1 ray a pixel" : "view, 4 rays a pixel", orl_seconds() - a);
+        if (!e) say(o, NAME[ss - 1], orl_seconds() - a);
     }
     free(block);
     return e;
@@ -212,15 +213,19 @@ static orl_err new_pose(const options *o, const orl_scene *s, const orl_view_pos
     uint8_t *photo = malloc((size_t)source->info.w * (size_t)source->info.h * 3);
     if (!photo || orl_source_next(source, &f) != 1) e = photo ? orl_fail(ORL_E_FORMAT, "%s: no picture", o->source) : orl_fail(ORL_E_MEMORY, "no memory for a picture");
     if (!e) orl_frame_to_rgb(&source->info, &f, orl_cpu_detect(), 0, source->info.h, photo, (size_t)source->info.w * 3);
-    for (int n = 1; !e && n; n = n == 1 && orl_cores() > 1 ? orl_cores() : 0) {
-        static const char *const STAGE[] = { "new pose: views", "new pose: light", "new pose: sun", "new pose: picture", "new pose: first picture" };
-        char threads[24];
-        orl_pose_seconds t;
-        if ((e = orl_bench_pose(s, from, to, photo, n, &t))) break;
-        snprintf(threads, sizeof threads, "%d %s", n, n == 1 ? "thread" : "threads");
-        const double seconds[] = { t.views, t.light, t.sun, t.picture, t.all };
-        for (int k = 0; k < 5; k++) orl_bench_put(&o->bench, &(orl_bench_row){ ORL_BENCH_ROW, .name = STAGE[k], .variant = threads, .seconds = seconds[k] });
-    }
+    for (int quick = 0; !e && quick < 2; quick++)
+        for (int n = 1; !e && n; n = n == 1 && orl_cores() > 1 ? orl_cores() : 0) {
+            static const char *const STAGE[] = { "views", "light", "sun", "picture", "first picture" };
+            char name[48], threads[24];
+            orl_pose_seconds t;
+            if ((e = orl_bench_pose(s, from, to, photo, quick, n, &t))) break;
+            snprintf(threads, sizeof threads, "%d %s", n, n == 1 ? "thread" : "threads");
+            const double seconds[] = { t.views, t.light, t.sun, t.picture, t.all };
+            for (int k = 0; k < 5; k++) {
+                snprintf(name, sizeof name, "new pose%s: %s", quick ? ", quick" : "", STAGE[k]);
+                orl_bench_put(&o->bench, &(orl_bench_row){ ORL_BENCH_ROW, .name = name, .variant = threads, .seconds = seconds[k] });
+            }
+        }
     free(photo);
     orl_source_close(source);
     return e;

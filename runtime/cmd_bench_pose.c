@@ -42,9 +42,9 @@ static orl_err whole(const orl_widen_config *c, const uint8_t *photo, uint8_t *w
     return e;
 }
 
-orl_err orl_bench_pose(const orl_scene *s, const orl_view_pose *from, const orl_view_pose *to, const uint8_t *photo, int threads, orl_pose_seconds *out)
+orl_err orl_bench_pose(const orl_scene *s, const orl_view_pose *from, const orl_view_pose *to, const uint8_t *photo, int quick, int threads, orl_pose_seconds *out)
 {
-    orl_widen_config c = { .scene = s, .photo = from->cam, .wide = to->cam, .photo_pose = from->pose, .wide_pose = to->pose, .blend = 1, .no_skip = ORL_SKIP_SAME, .threads = threads, .cpu = orl_cpu_detect() };
+    orl_widen_config c = { .scene = s, .photo = from->cam, .wide = to->cam, .photo_pose = from->pose, .wide_pose = to->pose, .blend = 1, .no_skip = ORL_SKIP_SAME, .quick = quick, .threads = threads, .cpu = orl_cpu_detect() };
     uint8_t *wide = malloc((size_t)to->cam.w * (size_t)to->cam.h * 3);
     orl_pose_seconds best = { INFINITY, INFINITY, INFINITY, INFINITY, INFINITY }, now;
     orl_err e = wide ? ORL_OK : orl_fail(ORL_E_MEMORY, "no memory for pictures");

@@ -116,21 +116,21 @@ static void measure(const desk *d, const char *name, const orl_view *v, double o
 /* Rays and sun at one size; the view is left traced. */
 static orl_err measure_rays(const desk *d, const orl_bench_place *p, int half, int ss, int only_traced, void *block, size_t need, orl_view *v)
 {
-    static const char *const SIZE[HALVES + 1] = { "", ", half size", ", quarter size" };
+    static const char *const RAYS[] = { "1 ray", "4 rays", "corners" }, *const SIZE[HALVES + 1] = { "", ", half size", ", quarter size" };
     orl_camera cam = half ? orl_camera_resized(p->cam, (p->cam->w >> half) + !(p->cam->w >> half), (p->cam->h >> half) + !(p->cam->h >> half)) : *p->cam;
     char name[48];
     double a = orl_seconds();
     orl_err e = orl_view_build(p->scene, &cam, p->pose, ss, 1, block, need, v);
     if (e) return e;
     double built = orl_seconds() - a;
-    snprintf(name, sizeof name, "%d ray%s%s, horizons", ss * ss, ss > 1 ? "s" : "", SIZE[half]);
+    snprintf(name, sizeof name, "%s%s, horizons", RAYS[ss - 1], SIZE[half]);
     if (!only_traced) measure(d, name, v, built, NULL, NULL);
     a = orl_seconds();
     orl_view_trace_sun(v, p->light, 0, v->h, orl_cpu_detect(), 1);
     built += orl_seconds() - a;
-    snprintf(name, sizeof name, "%d ray%s%s, traced", ss * ss, ss > 1 ? "s" : "", SIZE[half]);
+    snprintf(name, sizeof name, "%s%s, traced", RAYS[ss - 1], SIZE[half]);
     measure(d, name, v, built, NULL, NULL);
-    if (half || ss == 1) return ORL_OK;
+    if (half || ss != ORL_RAYS_FOUR) return ORL_OK;
     orl_view plain = *v;
     memset(plain.phi_scale, 0, sizeof plain.phi_scale);
     if (memcmp(plain.phi_scale, v->phi_scale, sizeof plain.phi_scale)) measure(d, "4 rays, traced, no shadow features", &plain, built, NULL, NULL);
@@ -192,7 +192,10 @@ orl_err orl_bench_settings(orl_bench *b, const orl_bench_place *p)
         d.exact = made;
     }
     for (int half = HALVES; !e && half >= 0; half--)
-        for (int ss = 1; !e && ss <= 2; ss++) e = measure_rays(&d, p, half, ss, half > 0, block, need, &v);        /* last the best, which is blended */
+        for (int k = 0; !e && k < 3; k++) {         /* last the best, which is blended */
+            static const int RAYS[] = { ORL_RAYS_MIDDLE, ORL_RAYS_CORNERS, ORL_RAYS_FOUR };
+            if (!half || RAYS[k] != ORL_RAYS_CORNERS) e = measure_rays(&d, p, half, RAYS[k], half > 0, block, need, &v);
+        }
     if (!e) e = measure_blend(&d, p, &v);
     if (!e && p->baked) measure_baked(&d, p->baked);
     free(block);

@@ -43,7 +43,7 @@ void orl_json_string(const char *s);    /* to standard output, in quotes, escape
 
 /* Seconds from a pose and a photo to the first whole picture (cmd_bench_pose.c), the best of some runs: views, light without the wide view's sun, that sun, the rest; and all. */
 typedef struct { double views, light, sun, picture, all; } orl_pose_seconds;
-orl_err orl_bench_pose(const orl_scene *s, const orl_view_pose *from, const orl_view_pose *to, const uint8_t *photo, int threads, orl_pose_seconds *out);
+orl_err orl_bench_pose(const orl_scene *s, const orl_view_pose *from, const orl_view_pose *to, const uint8_t *photo, int quick, int threads, orl_pose_seconds *out);
 
 /* Part of `oriel bench`: conversion kernels. say gets a row: name, variant, seconds, bytes read and written. */
 typedef void orl_bench_say(void *user, const char *name, const char *variant, double seconds, size_t bytes);

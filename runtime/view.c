@@ -235,7 +235,7 @@ static int see(const build_job *j, tile *l, int i, int opaque)
 static void build_pixel(const build_job *j, int x, int y, const tile *l, const int *of)
 {
     orl_view *v = j->v;
-    int hits = 0, rays = j->ss * j->ss, alike[4] = { 0 };
+    int hits = 0, rays = j->ss == ORL_RAYS_MIDDLE ? 1 : 4, alike[4] = { 0 };
     double n[3] = { 0 };
     sums sum = { 0 };
     const orl_hit *hit[4];
@@ -316,6 +316,12 @@ static int aim(const build_job *j, int x0, int y0, int w, int h, const pattern *
     return 1;
 }
 
+static void build_tile(const build_job *j, int x0, int y0, int w, int h, const pattern *p);
+static void build_fours(const build_job *j, int x0, int y0, int w, int h)
+{
+    for (int y = 0; y < h; y += FINE) for (int x = 0; x < w; x += FINE) build_tile(j, x0 + x, y0 + y, w - x < FINE ? w - x : FINE, h - y < FINE ? h - y : FINE, &FOURS);
+}
+
 /* A tile's rays set out together: a ball round the middle one that holds all of them goes as far as it meets no brick. One ray a pixel runs through its middle; four run through its corners, and neighbours
  * share them, unless a pixel is wider than COARSE_PIXEL where the ball ends: then more is to be seen in it, and it has four rays of its own. */
 static void build_tile(const build_job *j, int x0, int y0, int w, int h, const pattern *p)
@@ -326,10 +332,7 @@ static void build_tile(const build_job *j, int x0, int y0, int w, int h, const p
     if (!aim(j, x0, y0, w, h, p, &l, middle, &spread)) return;
     double freely = orl_march_freely(j->s, j->origin, middle, spread);
     if (p == &CORNERS && freely < 1e12 && 2 * spread * freely > COARSE_PIXEL * sqrt((double)(w * w + h * h))) {
-        for (int k = 0; k < 4; k++) {
-            int x = k & 1 ? FINE : 0, y = k & 2 ? FINE : 0;
-            if (x < w && y < h) build_tile(j, x0 + x, y0 + y, w - x < FINE ? w - x : FINE, h - y < FINE ? h - y : FINE, &FOURS);
-        }
+        build_fours(j, x0, y0, w, h);
         return;
     }
     march_tile(j, &l, freely);
@@ -350,7 +353,9 @@ static void build_tiles(void *user, int begin, int end)
     if (begin < first) { j->beside->fn(j->beside->user); return; }
     for (int i = begin - first; i < end - first; i++) {
         int x = i % j->across * TILE, y = i / j->across * TILE;
-        build_tile(j, x, y, j->v->w - x < TILE ? j->v->w - x : TILE, j->v->h - y < TILE ? j->v->h - y : TILE, j->ss == 1 ? &MIDDLES : &CORNERS);
+        int w = j->v->w - x < TILE ? j->v->w - x : TILE, h = j->v->h - y < TILE ? j->v->h - y : TILE;
+        if (j->ss == ORL_RAYS_FOUR) build_fours(j, x, y, w, h);
+        else build_tile(j, x, y, w, h, j->ss == ORL_RAYS_MIDDLE ? &MIDDLES : &CORNERS);
     }
 }
 
@@ -416,7 +421,7 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
     const double lens[] = { cam->fx, cam->fy, cam->cx, cam->cy, cam->k1, cam->k2, cam->p1, cam->p2 }, *R = pose->R, *m = s->world_to_grid;
     if (!s->bmap) return orl_fail(ORL_E_DEGENERATE, "view: the scene has no geometry (a sky file?)");
     if (cam->w < 1 || cam->h < 1 || cam->w > 65535 || cam->h > 65535) return orl_fail(ORL_E_RANGE, "view: size %d x %d", cam->w, cam->h);
-    if (supersample != 1 && supersample != 2) return orl_fail(ORL_E_RANGE, "view: supersample %d", supersample);
+    if (supersample < ORL_RAYS_MIDDLE || supersample > ORL_RAYS_CORNERS) return orl_fail(ORL_E_RANGE, "view: supersample %d", supersample);
     if (!all_finite(lens, 8) || !(cam->fx > 0) || !(cam->fy > 0)) return orl_fail(ORL_E_DEGENERATE, "view: camera parameters are not finite");
     if (!all_finite(R, 9) || !all_finite(pose->t, 3)) return orl_fail(ORL_E_DEGENERATE, "view: pose is not finite");
     double det = R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]);

@@ -465,12 +465,13 @@ static orl_err begin(const orl_widen_config *c, const uint8_t *photo, void *bloc
     pick(s.w, s.h, w.spot);
     if (c->blend) e = orl_blend_init(&c->photo, &c->photo_pose, &c->wide, &c->wide_pose, c->mask, c->threads, b.blend, orl_blend_need(c->wide.w, c->wide.h), &w.blend);
     if (e) return e;
+    const int rays = c->quick ? ORL_RAYS_CORNERS : ORL_RAYS_FOUR;
     if (c->baked) {
         e = orl_view_attach(&c->baked[0], b.small, orl_view_attach_need(s.w, s.h), &w.small);
     } else {
         memset(b.wanted, 0, (size_t)s.w * (size_t)s.h);
         for (int i = 0; i < w.nsamples; i++) b.wanted[w.spot[i]] = 1;
-        e = orl_view_build_some(c->scene, &s, &c->photo_pose, 2, b.wanted, NULL, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
+        e = orl_view_build_some(c->scene, &s, &c->photo_pose, rays, b.wanted, NULL, c->threads, b.small, orl_view_need(s.w, s.h), &w.small);
     }
     if (e) return e;
     for (int i = 0; i < s.w * s.h; i++) {
@@ -491,7 +492,7 @@ static orl_err begin(const orl_widen_config *c, const uint8_t *photo, void *bloc
             memset(row, 1, (size_t)c->wide.w);
             memset(row + x0, 0, (size_t)(x1 - x0));
         }
-        e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, 2, b.wanted, photo ? &(orl_beside){ find_first, &first } : NULL, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
+        e = orl_view_build_some(c->scene, &c->wide, &c->wide_pose, rays, b.wanted, photo ? &(orl_beside){ find_first, &first } : NULL, c->threads, b.wide, orl_view_need(c->wide.w, c->wide.h), &w.wide);
     }
     if (e) return e;
     if (first.e) return orl_fail(first.e, "widen: the first photo's light cannot be looked for");

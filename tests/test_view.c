@@ -111,13 +111,13 @@ static void test_depth_and_normal(void **state)
     free(b.block);
 }
 
-/* Where a pixel is less than a cell wide its rays run through its corners, elsewhere a quarter of it from its sides. */
-static void coverage(double fov, double first, double pitch)
+/* Four rays a quarter of a pixel from its sides; through its corners where those are asked for and a pixel is less than a cell wide. */
+static void coverage(int rays, double fov, double first, double pitch)
 {
     orl_camera cam = synth_camera(96, 64, fov);
     orl_pose pose = synth_look(&scene, eye, target);
     built b;
-    build(&b, &cam, &pose, 2, 1);
+    build(&b, &cam, &pose, rays, 1);
     int wrong = 0, partial = 0;
     for (int y = 0; y < cam.h; y++) for (int x = 0; x < cam.w; x++) {
         int n = 0, skip = 0;
@@ -144,8 +144,9 @@ static void coverage(double fov, double first, double pitch)
 static void test_coverage(void **state)
 {
     (void)state;
-    coverage(95, 0.25, 0.5);
-    coverage(26, 0, 1);
+    coverage(ORL_RAYS_FOUR, 26, 0.25, 0.5);
+    coverage(ORL_RAYS_CORNERS, 95, 0.25, 0.5);
+    coverage(ORL_RAYS_CORNERS, 26, 0, 1);
 }
 
 /* A brick of the sphere left out: rays that enter there leave the sphere again and meet the ground behind it. */
@@ -349,7 +350,7 @@ static void test_degenerate(void **state)
     memset(bad.t, 0, sizeof bad.t);
     assert_int_equal(orl_view_build(&scene, &cam, &bad, 1, 1, block, need, &v), ORL_E_DEGENERATE);
     assert_int_equal(orl_view_build(&scene, &cam, &pose, 1, 1, block, need - 64, &v), ORL_E_MEMORY);
-    assert_int_equal(orl_view_build(&scene, &cam, &pose, 3, 1, block, need, &v), ORL_E_RANGE);
+    assert_int_equal(orl_view_build(&scene, &cam, &pose, 4, 1, block, need, &v), ORL_E_RANGE);
     orl_scene sky = { .light = scene.light };
     assert_int_equal(orl_view_build(&sky, &cam, &pose, 1, 1, block, need, &v), ORL_E_DEGENERATE);
     assert_memory_equal(&v, &was, sizeof v);

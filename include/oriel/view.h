@@ -37,8 +37,10 @@ typedef struct {
 
 int orl_view_stride(int w);                                         /* pixels of a padded row */
 size_t orl_view_need(int w, int h);                                 /* bytes, 64-byte aligned block */
-/* Marches every pixel; supersample 1 or 2. 1: one ray through its middle. 2: four rays, attributes averaged, coverage counted: through its corners, shared with its neighbours, or where a pixel is wider than
- * a cell a quarter of it from its sides. Rays are marched in floats (runtime/kernels/rays.h); bit-identical for any thread count and machine. */
+/* Rays of a pixel, attributes averaged, coverage counted: one through its middle; four of its own; or four through its corners, which neighbours share: little more than one, and softer. Where a pixel is wider
+ * than a cell, so that more is to be seen in it, its corners are not enough, and it has four of its own. */
+enum { ORL_RAYS_MIDDLE = 1, ORL_RAYS_FOUR = 2, ORL_RAYS_CORNERS = 3 };
+/* Marches every pixel; supersample: ORL_RAYS_*. Light is that of the middle of a pixel's hits in a brick. Rays are marched in floats (runtime/kernels/rays.h); bit-identical for any thread count and machine. */
 orl_err orl_view_build(const orl_scene *s, const orl_camera *cam, const orl_pose *pose, int supersample, int threads, void *block, size_t bytes, orl_view *out);
 /* The same of pixels that are wanted alone ([h][w], nonzero; NULL: all): the others hold sky. beside: other work, which one of the threads does while the others march; NULL: none. */
 typedef struct { void (*fn)(void *user); void *user; } orl_beside;

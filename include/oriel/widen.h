@@ -15,6 +15,7 @@ typedef struct {
     orl_pose photo_pose, wide_pose;
     const uint8_t *mask;                /* photo-size, nonzero = person: left out of adaptation; NULL */
     int blend;                          /* 0: the render alone */
+    int quick;                          /* views by ORL_RAYS_CORNERS instead of ORL_RAYS_FOUR: the first picture twice as soon */
     unsigned no_skip;                   /* ORL_SKIP_* that are not taken (EMPTY is the scene's: oriel/view.h); without PHOTO what it covers is not even marched */
     int threads;
     unsigned cpu;
