@@ -123,6 +123,11 @@ fi
 # extend: the wide truth comes back
 "$O" extend $scene $pose "$W/photo.png" -o "$W/e.png" --report >"$W/out" || fail "extend"
 grep -q '^adaptation  ' "$W/out" && grep -q '^sun ' "$W/out" && grep -q '^seconds ' "$W/out" || fail "extend --report"
+"$O" extend $scene $pose "$W/photo.png" -o "$W/quick.png" --quick && ! cmp -s "$W/e.png" "$W/quick.png" || fail "extend --quick"
+if command -v ffmpeg >/dev/null; then
+    db=$(ffmpeg -v info -i "$W/quick.png" -i "$W/e.png" -lavfi psnr -f null - 2>&1 | grep -oE 'average:[0-9]+' | cut -d: -f2)
+    [ "${db:-0}" -ge 25 ] || fail "extend --quick: ${db:-?} dB from four rays a pixel"
+fi
 if command -v ffmpeg >/dev/null; then
     db=$(ffmpeg -v info -i "$W/e.png" -i "$W/wide.png" -lavfi psnr -f null - 2>&1 | grep -oE 'average:[0-9]+|average:inf' | cut -d: -f2)
     [ "$db" = inf ] || [ "${db:-0}" -ge 38 ] || fail "extend: $db dB against the wide truth"
