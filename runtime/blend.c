@@ -11,7 +11,7 @@
 #include "runtime/arena.h"
 #include "runtime/kernels/shade.h"
 
-enum { CELLS = 64, CELL_LOG2 = 4, SEAM = 16, LEVELS = 8, LAYERS = 2, SCALE_MAX = ORL_WARP_MOST, VALUE_Q = 4, KNEE = 32 };
+enum { CELLS = 64, CELL_LOG2 = 4, SEAM = 16, SILENT = 13, LEVELS = 8, LAYERS = 2, SCALE_MAX = ORL_WARP_MOST, VALUE_Q = 4, KNEE = 32 };
 #define FEATHER 0.03        /* of the photo's short side */
 #define BAND    3.0         /* seam colours are taken this many feathers deep */
 #define REACH   0.12        /* a correction has halved at this distance from the photo, in short sides */
@@ -384,11 +384,32 @@ static void mix_span(const apply_job *j, orl_mix_in *in, int y, int x, int end)
     memcpy(b->wide + 3 * i, rgb, 3 * (size_t)rest);
 }
 
+typedef int16_t nodes[3][LAYERS][CELLS + 2 + ORL_NODES_MORE];
+
+/* Columns [x0, x1) of a row that the mix changes: where the photo is, and what nodes reach that are more than SILENT: no value between such as are not comes to half a level. */
+static void reached(const orl_blend *b, int y, const nodes node, int *x0, int *x1)
+{
+    int lo = b->gw + 2, hi = -1;
+    for (int n = 0; n < b->gw + 2; n++) {
+        int loud = 0;
+        for (int c = 0; c < 3; c++) for (int k = 0; k < LAYERS; k++) loud |= node[c][k][n] > SILENT || node[c][k][n] < -SILENT;
+        if (loud) lo = lo < n ? lo : n, hi = n;
+    }
+    *x0 = clampi((lo - 1) * b->cell - b->cell / 2, 0, b->w);
+    *x1 = clampi((hi + 1) * b->cell - b->cell / 2, 0, b->w);
+    if (lo > hi) *x0 = b->w, *x1 = 0;
+    if (b->x1[y] > b->x0[y]) {
+        *x0 = *x0 < b->x0[y] ? *x0 : b->x0[y];
+        *x1 = *x1 > b->x1[y] ? *x1 : b->x1[y];
+    }
+    *x0 = *x0 / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
+}
+
 static void mix(void *user, int begin, int end)
 {
     const apply_job *j = user;
     const orl_blend *b = j->b;
-    int16_t node[3][LAYERS][CELLS + 2 + ORL_NODES_MORE];
+    nodes node;
     orl_mix_in in = { .log2 = b->cell_log2 };
     memset(node, 0, sizeof node);
     for (int c = 0; c < 3; c++) for (int k = 0; k < LAYERS; k++) in.node[c][k] = node[c][k];
@@ -403,11 +424,16 @@ static void mix(void *user, int begin, int end)
                 to[b->gw] = to[b->gw - 1];
             }
         int in0 = (b->in0[y] + ORL_KERNEL_STEP - 1) / ORL_KERNEL_STEP * ORL_KERNEL_STEP, in1 = b->in1[y] / ORL_KERNEL_STEP * ORL_KERNEL_STEP;
-        if (in0 >= in1) { mix_span(j, &in, y, 0, b->w); continue; }
+        int x0, x1;
+        reached(b, y, (const int16_t (*)[LAYERS][CELLS + 2 + ORL_NODES_MORE])node, &x0, &x1);
+        if (in0 >= in1) {
+            if (x0 < x1) mix_span(j, &in, y, x0, x1);
+            continue;
+        }
         size_t i = (size_t)y * (size_t)b->w + (size_t)in0;
-        mix_span(j, &in, y, 0, in0);
+        mix_span(j, &in, y, x0, in0);
         memcpy(b->wide + 3 * i, b->warped + 3 * i, 3 * (size_t)(in1 - in0));
-        mix_span(j, &in, y, in1, b->w);
+        mix_span(j, &in, y, in1, x1);
     }
 }
 
