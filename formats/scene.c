@@ -82,7 +82,7 @@ static orl_err parse_table(const uint8_t *b, size_t n, const char *name, layout 
         while (t < TAGS && memcmp(s->tag, tags[t], 4)) t++;
         if (t == TAGS) {
             if (s->tag[0] >= 'a') continue;                                                     /* [3.4] */
-            return orl_fail(ORL_E_UNSUPPORTED, "%s: section %s is unknown", name, s->tag);
+            return orl_fail(ORL_E_UNSUPPORTED, "%s: section %s is unknown (made by another version?)", name, s->tag);
         }
         if (t <= last) return orl_fail(ORL_E_FORMAT, "%s: section %s is out of order or doubled", name, s->tag);
         last = t;
