@@ -45,7 +45,7 @@ int main(int argc, char **argv)
         return finish(ORL_EXIT_DONE);
     }
     if (!strcmp(argv[1], "--version")) {
-        printf("oriel %s\nimages: %s\nsources: replay (y4m, folder)\nsinks: files, hash, y4m\ncpu: %s\n", ORIEL_VERSION, orl_image_formats(), orl_cpu_name(orl_cpu_detect()));
+        printf("oriel %s\nimages: %s\nsources: replay (y4m, folder), raw (as cameras store frames)\nsinks: files, hash, y4m\ncpu: %s\n", ORIEL_VERSION, orl_image_formats(), orl_cpu_name(orl_cpu_detect()));
         return finish(ORL_EXIT_DONE);
     }
     for (int i = 0; i < COUNT; i++) {
