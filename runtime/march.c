@@ -184,13 +184,8 @@ double orl_march_freely(const orl_scene *s, const double o[3], const double d[3]
     return t > 1 ? t - 1.0 / 16 : 0;
 }
 
-void orl_march_surface(const orl_scene *s, orl_hit *h)
-{
-    gradient(s, h->at, h->brick, h->grad);
-    orl_march_colour(s, h->brick, h->grad, h->at, h->albedo);
-}
-
-void orl_march_colour(const orl_scene *s, int32_t brick, const int32_t grad[3], const int32_t at[3], uint32_t rgb[3])
+/* Base colour at a place (cells Q12) in a brick, where the SDF's gradient is grad. */
+static void colour(const orl_scene *s, int32_t brick, const int32_t grad[3], const int32_t at[3], uint32_t rgb[3])
 {
     int32_t q[3];
     uint32_t entry = s->skin[brick];
@@ -199,7 +194,11 @@ void orl_march_colour(const orl_scene *s, int32_t brick, const int32_t grad[3], 
     orl_skin_colour(s->albedo + (size_t)orl_skin_texture(entry, face) * ORL_SKIN_TEXELS * 3, face, q, rgb);
 }
 
-int32_t orl_march_brick(const orl_scene *s, const int32_t at[3]) { return brick_of(s, at); }
+void orl_march_surface(const orl_scene *s, orl_hit *h)
+{
+    gradient(s, h->at, h->brick, h->grad);
+    colour(s, h->brick, h->grad, h->at, h->albedo);
+}
 
 /* Eight corner weights that sum to 256 exactly: the last takes what rounding left, 0 at the least. */
 static inline void weights(const int32_t f[3], uint16_t w[8])

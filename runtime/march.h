@@ -23,9 +23,6 @@ int orl_march_hit(const orl_scene *s, const orl_march *m, int k, orl_hit *out);
 double orl_march_freely(const orl_scene *s, const double o[3], const double d[3], double spread);
 /* grad and albedo of a hit. */
 void orl_march_surface(const orl_scene *s, orl_hit *h);
-/* Base colour at a place (cells Q12) in a brick, where the SDF's gradient is grad. */
-void orl_march_colour(const orl_scene *s, int32_t brick, const int32_t grad[3], const int32_t at[3], uint32_t rgb[3]);
-int32_t orl_march_brick(const orl_scene *s, const int32_t at[3]);      /* at a place in the grid; negative: none */
 /* What light needs to know of a place (cells Q12) in a brick: the file's bytes, Q8. brick -1: under the open sky. */
 void orl_march_light(const orl_scene *s, int32_t brick, const int32_t at[3], uint16_t lite[ORL_LITE_BYTES], int16_t phi[ORL_SHADOW_DIM]);
 #endif

@@ -446,15 +446,21 @@ orl_err orl_view_build_some(const orl_scene *s, const orl_camera *cam, const orl
     return ORL_OK;
 }
 
+/* A pixel's normal made unit; up where nothing is. */
+static void normal_of(const orl_view *v, size_t at, float n[3])
+{
+    const float b[3] = { v->normal[0][at], v->normal[1][at], v->normal[2][at] }, len = sqrtf(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]);
+    for (int a = 0; a < 3; a++) n[a] = len > 0 ? b[a] / len : a == 2;
+}
+
 void orl_view_sample(const orl_view *v, int x, int y, orl_sample *out)
 {
     size_t at = (size_t)y * (size_t)v->stride + (size_t)x;
     double d[3] = { 0, 0, 1 };
     orl_sample s = { .open = (float)v->open[at] / 255, .cov = (float)v->cov[at] / 255 };
     pixel_dir(v, x + 0.5, y + 0.5, d);
-    float n[3] = { v->normal[0][at], v->normal[1][at], v->normal[2][at] }, len = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    normal_of(v, at, s.normal);
     for (int c = 0; c < 3; c++) {
-        s.normal[c] = len > 0 ? n[c] / len : c == 2;
         s.albedo[c] = orl_powf((float)v->albedo[c][at] / 255, 2.4f);
         s.dir[c] = (float)d[c];
     }
@@ -701,13 +707,7 @@ void orl_view_sample_sun(const orl_view *v, const orl_light *l, const int *spot,
 static int faces_sun(const trace_job *j, size_t at, float n[3])
 {
     const float *s = j->l->sun_dir;
-    float len = 0;
-    for (int a = 0; a < 3; a++) {
-        n[a] = (float)j->v->normal[a][at];
-        len += n[a] * n[a];
-    }
-    len = len > 0 ? 1 / sqrtf(len) : 0;
-    for (int a = 0; a < 3; a++) n[a] = len > 0 ? n[a] * len : a == 2;
+    normal_of(j->v, at, n);
     return n[0] * s[0] + n[1] * s[1] + n[2] * s[2] > 0;
 }
 

@@ -248,9 +248,11 @@ static orl_err challenge(orl_widen *w, orl_adapt_result *r, int *beaten)
 
 /* ---- the sun's way ---- */
 
-/* Brings a view up to the light found last: w->light. */
-static void follow_sun(const orl_widen *w, orl_view *v, orl_sun_trace *s)
+/* Brings the wide view up to the light found last: w->light. */
+static void follow_sun(orl_widen *w)
 {
+    orl_view *v = &w->wide;
+    orl_sun_trace *s = &w->wide_sun;
     const float *now = w->light->sun_dir;
     float c = s->dir[0] * now[0] + s->dir[1] * now[1] + s->dir[2] * now[2];
     if (!s->traced || !(c > SUN_JUMPS)) {
@@ -425,7 +427,7 @@ static orl_err find(orl_widen *w, const uint8_t *photo)
 static orl_err follow(orl_widen *w)
 {
     const orl_sun_trace was = w->wide_sun;
-    if (w->fit.status != ORL_ADAPT_DEGENERATE && !w->wide.ceiling) follow_sun(w, &w->wide, &w->wide_sun);       /* a baked view's kernels look its sun up */
+    if (w->fit.status != ORL_ADAPT_DEGENERATE && !w->wide.ceiling) follow_sun(w);       /* a baked view's kernels look its sun up */
     if (w->starts) {
         if (w->tables) memcpy(w->last_light, w->tables, orl_view_light_need());
         else w->same = 0;

@@ -9,7 +9,7 @@ enum { ROWS = 8 };
 #define DOT(acc, w, x, lane) __asm__("sdot %0.4s, %1.16b, %2.4b[" #lane "]" : "+w"(acc) : "w"(w), "w"(x))
 
 /* 8 outputs from column `o` on of ROWS samples. x: [in / 16][ROWS][16], as the tile lies between layers. */
-INLINE void columns(const orl_mlp *m, int k, int o, const int8_t *x, int8_t *y, int y_stride, const int last)
+INLINE void eight(const orl_mlp *m, int k, int o, const int8_t *x, int8_t *y, int y_stride, const int last)
 {
     const int32_t *bias = m->layer[k].bias + o, *shift = m->layer[k].shift + o, *mul = m->layer[k].mul + o;
     const int8_t *w = (const int8_t *)m->layer[k].w + o * m->layer[k].in, *end = w + 8 * m->layer[k].in;
@@ -39,18 +39,8 @@ INLINE void columns(const orl_mlp *m, int k, int o, const int8_t *x, int8_t *y, 
     }
 }
 
-static void run_dotprod(const orl_mlp *m, const int8_t *x, int n, int8_t *y)
-{
-    const int in = m->layer[0].in, end = m->layers - 1, out = m->layer[end].out;
-    int8_t a[2][ROWS * ORL_MLP_WIDTH];
-    for (int s = 0; s < n; s += ROWS, y += ROWS * out) {
-        for (int r = 0; r < ROWS; r++, x += in)
-            for (int i = 0; i < in; i += 16) vst1q_s8(a[0] + i * ROWS + 16 * r, vld1q_s8(x + i));
-        for (int k = 0; k < end; k++)
-            for (int o = 0; o < m->layer[k].out; o += 8) columns(m, k, o, a[k & 1], a[~k & 1] + o / 16 * 16 * ROWS + o % 16, 16, 0);
-        for (int o = 0; o < out; o += 8) columns(m, end, o, a[end & 1], y + o, out, 1);
-    }
-}
+#define RUN run_dotprod
+#include "runtime/kernels/mlp_arm.h"
 
 static int64_t peak_dotprod(int rounds)
 {
